@@ -1,0 +1,131 @@
+"""Checks of what a user hands in, with one clear sentence for each thing that can be wrong.
+
+Every public constructor runs its arrays through these helpers, so that a wrong shape, a NaN or an
+indefinite matrix is named where it enters (argument, step, expected, given) and not thirty calls later.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def as_array(name: str, value: ArrayLike, shape: Sequence[int | str] | None = None, *, finite: bool = True) -> Array:
+    """Return `value` as a C-contiguous float array after checking its shape and its entries.
+
+    A string in `shape` names a size that may be anything; it only serves the message.
+    """
+    try:
+        array = np.ascontiguousarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be an array of numbers, got {_describe(value)}") from None
+    if np.ndim(value) == 0:  # ascontiguousarray lifts scalars to one dimension
+        array = array.reshape(())
+    if shape is not None and not _fits(array.shape, shape):
+        expected = "(" + ", ".join(str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
+        raise ValueError(f"{name} must have shape {expected}, got {array.shape}")
+    if finite and not np.isfinite(array).all():
+        where = np.argwhere(~np.isfinite(array))[0]
+        index = f"[{', '.join(str(i) for i in where)}]" if array.ndim else ""
+        raise ValueError(f"{name} must be finite, but {name}{index} is {array[tuple(where)]}")
+    return array
+
+
+def per_step_matrices(name: str, value: ArrayLike, steps: int, size: int, *, definite: bool) -> Array:
+    """Return `value` as (steps, size, size) symmetric matrices, positive definite or semidefinite.
+
+    `value` may be a number (times the identity), a diagonal (size,), a matrix (size, size) or one matrix a step.
+    """
+    array = as_array(name, value)
+    if array.ndim == 0:
+        array = array * np.eye(size)
+    elif array.shape == (size,):
+        array = np.diag(array)
+    if array.shape not in ((size, size), (steps, size, size)):
+        raise ValueError(
+            f"{name} must be a number, a diagonal ({size},), a matrix ({size}, {size}) or one matrix a step "
+            f"({steps}, {size}, {size}), got shape {np.shape(value)}"
+        )
+    constant = array.ndim == 2
+    matrices = array[None] if constant else array
+    scale = np.abs(matrices).max(axis=(1, 2), initial=0.0)
+    asymmetry = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
+    _refuse_first(name, constant, asymmetry > 1e-9 * scale, "must be symmetric", asymmetry, "an asymmetry")
+    matrices = 0.5 * (matrices + matrices.transpose(0, 2, 1))
+    smallest = np.linalg.eigvalsh(matrices)[:, 0] if size else np.ones(len(matrices))
+    if definite:
+        wrong, kind = smallest <= 0.0, "must be positive definite"
+    else:
+        wrong, kind = smallest < -1e-9 * scale, "must be positive semidefinite"
+    _refuse_first(name, constant, wrong, kind, smallest, "the eigenvalue")
+    return np.array(np.broadcast_to(matrices, (steps, size, size)), order="C")
+
+
+def per_step_vectors(name: str, value: ArrayLike, steps: int, size: int) -> Array:
+    """Return `value`, a number, a vector (size,) or one vector a step (steps, size), as (steps, size)."""
+    array = as_array(name, value)
+    if array.ndim != 0 and array.shape not in ((size,), (steps, size)):
+        raise ValueError(
+            f"{name} must be a number, a vector ({size},) or one vector a step ({steps}, {size}), "
+            f"got shape {array.shape}"
+        )
+    return np.array(np.broadcast_to(array, (steps, size)), order="C")
+
+
+def choose(kind: str, given: str, names: Iterable[str]) -> str:
+    """Return `given` if it is one of `names`; otherwise raise, listing the names and the nearest of them."""
+    known = list(names)
+    if given in known:
+        return given
+    near = difflib.get_close_matches(str(given), known, n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    raise ValueError(f"unknown {kind} {given!r}; there are: {', '.join(known) or 'none'}{hint}")
+
+
+def positive(name: str, value: float) -> float:
+    """Return `value` as a finite float above zero."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be a number, got {_describe(value)}") from None
+    if not (np.isfinite(number) and number > 0.0):
+        raise ValueError(f"{name} must be positive and finite, got {value}")
+    return number
+
+
+def count(name: str, value: Any, at_least: int = 1) -> int:
+    """Return `value` as an int of at least `at_least`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < at_least:
+        raise ValueError(f"{name} must be a whole number of at least {at_least}, got {_describe(value)}")
+    return int(value)
+
+
+def frozen(array: Array) -> Array:
+    """Return a read-only view, so that what a frozen dataclass hands out stays as it was checked."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def _fits(given: tuple[int, ...], expected: Sequence[int | str]) -> bool:
+    return len(given) == len(expected) and all(
+        isinstance(want, str) or want == have for have, want in zip(given, expected, strict=True)
+    )
+
+
+def _refuse_first(name: str, constant: bool, wrong: Array, kind: str, measure: Array, what: str) -> None:
+    if wrong.any():
+        step = int(np.argmax(wrong))
+        place = name if constant else f"{name}[{step}]"
+        raise ValueError(f"{place} {kind}, but has {what} {measure[step]:.3g}")
+
+
+def _describe(value: Any) -> str:
+    text = repr(value)
+    return f"{type(value).__name__} {text if len(text) <= 60 else text[:57] + '...'}"

@@ -1,0 +1,200 @@
+"""The `Dynamics` base class: what every engine offers, and what the solvers are written against.
+
+Notation
+--------
+    x_{n+1} = f_n(x_n, u_n)                    the discrete step
+    y_n     = g_n(x_n, u_n)                    outputs; at n = N read with zero control
+    dx_{n+1} = A_n dx_n + B_n du_n             its linearization, in tangent directions
+    dy_n     = C_n dx_n + D_n du_n
+
+A state has nx entries and ndx tangent directions (ndx < nx with free or ball joints, whose quaternions
+live on a sphere). `integrate` walks from a state along a tangent direction, `difference` is its inverse:
+integrate(x, difference(x, y)) = y. Engines whose states are plain vectors inherit both from here.
+
+The grain of the interface is the whole horizon: one call rolls out or linearizes all steps.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mjslq._validation import Array, as_array
+from mjslq.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from mjslq.scene import Scene
+
+
+class Linearization(NamedTuple):
+    """Jacobians of the step and of the outputs along a trajectory, in tangent directions."""
+
+    A: Array
+    """d x_{n+1} / d x_n. Shape (N, ndx, ndx)."""
+    B: Array
+    """d x_{n+1} / d u_n. Shape (N, ndx, nu)."""
+    C: Array
+    """d y_n / d x_n. Shape (N + 1, ny, ndx)."""
+    D: Array
+    """d y_n / d u_n; zero at the last knot. Shape (N + 1, ny, nu)."""
+
+
+@dataclass(frozen=True)
+class DerivativeCheck:
+    """How far an engine's Jacobians are from a fine reference, over the knots of a trajectory."""
+
+    errors: dict[str, float]
+    """Largest error of A, B (and C, D), relative to the largest entry of the reference."""
+    worst: dict[str, tuple[int, int, int]]
+    """Where it occurs: (step, row, column)."""
+
+    @property
+    def worst_error(self) -> float:
+        """The largest of the errors."""
+        return max(self.errors.values(), default=0.0)
+
+
+class Dynamics(ABC):
+    """A discrete-time system; see the notation at the head of this file."""
+
+    nx: int
+    """Entries of the state."""
+    ndx: int
+    """Tangent directions of the state."""
+    nu: int
+    """Controls."""
+    ny: int
+    """Outputs."""
+    dt: float | Array
+    """Step length, or one per step. Shape (N,). [s]"""
+    state_names: tuple[str, ...]
+    """A name for each entry of x, for plots and messages."""
+    wants_feedback: bool = False
+    """Whether steps of an optimizer had better run under feedback: true of engines that simulate robots, whose
+    unstable motions drift away from an open-loop change of the controls."""
+    control_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+
+    @abstractmethod
+    def rollout(self, x0: ArrayLike, U: ArrayLike) -> Trajectory:
+        """Simulate from `x0` (nx,) under the controls `U` (N, nu)."""
+
+    @abstractmethod
+    def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
+        """One step: the next state (nx,), and the outputs (ny,) read at (x, u), for step n of the horizon.
+
+        The plain, slow way to the same numbers as `rollout`; tests and derivative checks go it.
+        """
+
+    @abstractmethod
+    def rollout_feedback(
+        self, reference: Trajectory, K: Array, k: Array, alpha: float = 1.0, x0: ArrayLike | None = None
+    ) -> Trajectory:
+        """Simulate under u_n = u_ref,n + alpha k_n - K_n difference(x_ref,n, x_n).
+
+        K has shape (N, nu, ndx), k (N, nu). Starts at the reference's first state unless `x0` is given.
+        """
+
+    @abstractmethod
+    def linearize(self, trajectory: Trajectory) -> Linearization:
+        """Jacobians of every step of `trajectory`."""
+
+    def difference(self, x: Array, y: Array) -> Array:
+        """Tangent direction that leads from state `x` to state `y`. Shapes (..., nx) -> (..., ndx)."""
+        return np.asarray(y) - np.asarray(x)
+
+    def integrate(self, x: Array, dx: Array) -> Array:
+        """State reached from `x` along the tangent direction `dx`. Shapes (..., nx), (..., ndx) -> (..., nx)."""
+        return np.asarray(x) + np.asarray(dx)
+
+    def difference_jacobian(self, x: Array, y: Array) -> Array | None:
+        """Derivative of difference(x, y) by y, in tangent directions of y. Shape (..., ndx, ndx).
+
+        None stands for the identity, which is what plain vectors have.
+        """
+        return None
+
+    def tangent_basis(self, x: Array) -> Array | None:
+        """Derivative of integrate(x, dx) by dx at zero. Shape (nx, ndx); None stands for the identity."""
+        if self.nx == self.ndx:
+            return None
+        eps = 1e-6
+        steps = eps * np.eye(self.ndx)
+        many = np.broadcast_to(x, (self.ndx, self.nx))
+        return ((self.integrate(many, steps) - self.integrate(many, -steps)) / (2.0 * eps)).T
+
+    def scene(self) -> Scene | None:
+        """What a viewer needs to draw a trajectory of this system; None when there is nothing to draw."""
+        return None
+
+    def check_derivatives(self, trajectory: Trajectory) -> DerivativeCheck:
+        """Compare `linearize` with a fourth-order difference of `rollout` at every step of `trajectory`."""
+        return compare_jacobians(self.linearize(trajectory), fine_reference(self, trajectory))
+
+    def steps(self, N: int) -> Array:
+        """Step lengths for a horizon of N. Shape (N,). [s]  Raises ValueError when dt is of another length."""
+        dt = np.asarray(self.dt, dtype=np.float64)
+        if dt.ndim and dt.shape != (N,):
+            raise ValueError(f"these dynamics have {len(dt)} steps of given length, but the horizon is {N}")
+        return np.broadcast_to(dt, (N,))
+
+    def checked_start(self, x0: ArrayLike) -> Array:
+        """Return `x0` as a state (nx,) or raise ValueError."""
+        return as_array("x0", x0, (self.nx,))
+
+    def checked_controls(self, U: ArrayLike) -> Array:
+        """Return `U` as controls (N, nu) or raise ValueError."""
+        return np.array(as_array("U", U, ("N", self.nu)))  # a copy: trajectories do not alias what they came from
+
+
+def compare_jacobians(given: Linearization, reference: Linearization) -> DerivativeCheck:
+    """Largest relative error of each Jacobian, and where."""
+    errors, worst = {}, {}
+    for name, ours, fine in zip(Linearization._fields, given, reference, strict=True):
+        if fine.size == 0:
+            continue
+        error = np.abs(ours - fine)
+        step, row, column = np.unravel_index(int(np.argmax(error)), error.shape)
+        errors[name] = float(error.max() / max(np.abs(fine).max(), 1e-300))
+        worst[name] = (int(step), int(row), int(column))
+    return DerivativeCheck(errors, worst)
+
+
+def fine_reference(dynamics: Dynamics, trajectory: Trajectory, eps: float = 1e-4) -> Linearization:
+    """Jacobians by five-point differences of single steps: slow, and independent of an engine's own; O(eps^4)."""
+    N, nu, ny = trajectory.horizon, dynamics.nu, dynamics.ny
+
+    def by_state(n: int, x: Array, u: Array) -> list[Array]:
+        return [dynamics.difference(trajectory.X[min(n + 1, N)], part) if i == 0 else part
+                for i, part in enumerate(dynamics.step(x, u, min(n, N - 1)))]  # fmt: skip
+
+    A, B = np.empty((N, dynamics.ndx, dynamics.ndx)), np.empty((N, dynamics.ndx, nu))
+    C, D = np.zeros((N + 1, ny, dynamics.ndx)), np.zeros((N + 1, ny, nu))
+    U = np.vstack([trajectory.U, np.zeros(nu)])  # outputs at the last knot are read with zero control
+    for n, (x, u) in enumerate(zip(trajectory.X, U, strict=True)):
+        along_x = _five_point(lambda d, n=n, x=x, u=u: by_state(n, dynamics.integrate(x, d), u), dynamics.ndx, eps)
+        C[n] = along_x[1]
+        if n < N:
+            A[n] = along_x[0]
+            B[n], D[n] = _five_point(lambda d, n=n, x=x, u=u: by_state(n, x, u + d), nu, eps)
+    return Linearization(A, B, C, D)
+
+
+def _five_point(function: Callable[[Array], list[Array]], size: int, eps: float) -> list[Array]:
+    """Columns of the derivatives of the arrays that `function` returns, at zero."""
+    columns: list[list[Array]] = []
+    for i in range(size):
+        d = np.zeros(size)
+        d[i] = eps
+        near, far = zip(function(d), function(-d), strict=True), zip(function(2 * d), function(-2 * d), strict=True)
+        columns.append(
+            [(8.0 * (p - m) - (pp - mm)) / (12.0 * eps) for (p, m), (pp, mm) in zip(near, far, strict=True)]
+        )
+    if not columns:
+        return [part[:, None][:, :0] for part in function(np.zeros(0))]
+    return [np.stack(parts, axis=-1) for parts in zip(*columns, strict=True)]

@@ -1,0 +1,54 @@
+"""What a MuJoCo model must not have, because its state would hold more than x = (qpos, qvel, act), or less."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+
+_RK4 = mujoco.mjtIntegrator.mjINT_RK4
+_CALLBACKS = ("control", "passive", "act_dyn", "act_gain", "act_bias", "sensor", "contactfilter")
+
+REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
+    (lambda m: m.nv == 0, "it has no joints, so nothing can move; give a body a joint"),
+    (lambda m: m.nu == 0, "it has no actuators, so there is nothing to optimize; add some under <actuator>"),
+    (
+        lambda m: m.opt.integrator == _RK4,
+        'its integrator is RK4, which MuJoCo cannot linearize; use <option integrator="implicitfast"/> or "Euler"',
+    ),
+    (
+        lambda m: bool(m.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP),
+        'sleeping is enabled, and who sleeps is not part of the state x; use <flag sleep="disable"/>',
+    ),
+    (
+        lambda m: bool(m.opt.enableflags & mujoco.mjtEnableBit.mjENBL_IPC),
+        'IPC contacts are enabled, which keep a memory between steps; use <flag ipc="disable"/>',
+    ),
+    (
+        lambda m: m.nhistory > 0,
+        "actuators or sensors with a delay keep a history that the state x does not hold; remove their nsample",
+    ),
+    (
+        lambda m: m.nplastic > 0,
+        "plastic springs or flexes keep a state that x does not hold; remove springyield and yield",
+    ),
+    (lambda m: m.npluginstate > 0, "it has a plugin with a state that x does not hold; remove that plugin"),
+)
+
+
+def refuse_unsupported(model: mujoco.MjModel) -> None:
+    """Raise ValueError, with reason and remedy, when `model` cannot be optimized here."""
+    for is_so, reason in REFUSALS:
+        if is_so(model):
+            raise ValueError(f"this model is not supported: {reason}")
+    refuse_callbacks()
+
+
+def refuse_callbacks() -> None:
+    """Raise ValueError when a MuJoCo callback is installed in this process: it would act in every step, unseen."""
+    for name in _CALLBACKS:
+        if getattr(mujoco, f"get_mjcb_{name}")() is not None:
+            raise ValueError(
+                f"the MuJoCo callback mjcb_{name} is installed, whose effect on the state cannot be known; "
+                f"call mujoco.set_mjcb_{name}(None) first"
+            )

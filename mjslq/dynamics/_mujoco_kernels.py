@@ -1,0 +1,218 @@
+"""Compiled loops over the horizon: simulate and linearize with libmujoco, without Python between the steps.
+
+Each kernel is a C function (model, data, worker, jobs) for `Workers.run`: it reads everything from its row of
+`jobs`, a structured array of addresses and sizes that Python fills in (see `JOB`), and writes its results into
+the arrays named there. Only MuJoCo's documented functions are called, and arrays of mjData are reached through
+the addresses of the views that its Python bindings give out, so nothing here depends on the layout of a struct.
+
+Notation
+--------
+    x = (qpos, qvel, act), u = ctrl, y = sensordata         N steps, W workers
+    X (N + 1, nx), U (N, nu), Y (N + 1, ny)                 K (N, nu, ndx), k (N, nu): feedback and feedforward
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Callable
+from typing import Any
+
+import llvmlite.binding  # type: ignore[import-untyped]
+import mujoco
+import numba
+import numpy as np
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from mjslq.dynamics._mujoco_library import library_path
+
+llvmlite.binding.load_library_permanently(library_path())
+
+_address, _number, _void = types.intp, types.float64, types.void
+mj_resetData = types.ExternalFunction("mj_resetData", _void(_address, _address))  # noqa: N816
+mj_step = types.ExternalFunction("mj_step", _void(_address, _address))
+mj_forward = types.ExternalFunction("mj_forward", _void(_address, _address))
+mj_differentiatePos = types.ExternalFunction(  # noqa: N816
+    "mj_differentiatePos", _void(_address, _address, _number, _address, _address)
+)
+mjd_transitionFD = types.ExternalFunction(  # noqa: N816
+    "mjd_transitionFD", _void(_address, _address, _number, types.uint8, _address, _address, _address, _address)
+)
+
+ABSURD = float(mujoco.mjMAXVAL)
+"""Magnitude from which MuJoCo calls a number bad."""
+WARNINGS = int(mujoco.mjtWarning.mjNWARNING)
+
+_SIZES = ("N", "first", "last", "nq", "nv", "na", "nu", "ny", "centered")
+_ARRAYS = (
+    "model", "data", "qpos", "qvel", "act", "ctrl", "qacc", "warmstart", "sensors", "warnings",
+    "X", "U", "Y", "X_ref", "U_ref", "K", "k", "A", "B", "C", "D", "bad_knot",
+)  # fmt: skip
+JOB = np.dtype([(name, np.int64) for name in _SIZES + _ARRAYS] + [("eps", np.float64), ("alpha", np.float64)])
+"""What a kernel needs to know: sizes, addresses of arrays (0: absent), numbers."""
+
+
+@intrinsic
+def _pointer(typing_context: Any, address: Any) -> Any:
+    """Make a pointer to numbers of an address held in an integer."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
+
+    return types.voidptr(types.int64), generate
+
+
+def _compiled(signature: Any) -> Callable[[Callable[..., Any]], int]:
+    """Compile to a C function and return its address; keep the result on disk where a place for it can be found."""
+
+    def compile_kernel(function: Callable[..., Any]) -> Any:
+        options = {"error_model": "numpy"}
+        try:
+            return numba.cfunc(signature, cache=True, **options)(function)
+        except RuntimeError:  # numba finds no folder it may write to
+            return numba.cfunc(signature, **options)(function)
+
+    return compile_kernel
+
+
+@numba.njit(inline="always")
+def _vector(address, size):
+    return numba.carray(_pointer(address), (size,), np.float64)
+
+
+@numba.njit(inline="always")
+def _matrix(address, rows, columns):
+    return numba.carray(_pointer(address), (rows, columns), np.float64)
+
+
+@numba.njit(inline="always")
+def _copy(source, target):
+    for i in range(target.shape[0]):
+        target[i] = source[i]
+
+
+@numba.njit(inline="always")
+def _sane(values):
+    """Whether every entry is a number that MuJoCo would not call bad."""
+    for value in values:  # noqa: SIM110 -- a plain loop is what numba compiles well
+        if not abs(value) < ABSURD:
+            return False
+    return True
+
+
+@numba.njit(inline="always")
+def _warned(job):
+    """Whether MuJoCo has counted any warning; the counters stand in pairs with other information."""
+    counters = numba.carray(_pointer(job.warnings), (2 * WARNINGS,), np.int32)
+    for i in range(0, 2 * WARNINGS - 1, 2):  # noqa: SIM110
+        if counters[i] != 0:
+            return True
+    return False
+
+
+@numba.njit(inline="always")
+def _load(job, x):
+    """Put the state x into mjData."""
+    _copy(x[: job.nq], _vector(job.qpos, job.nq))
+    _copy(x[job.nq : job.nq + job.nv], _vector(job.qvel, job.nv))
+    _copy(x[job.nq + job.nv :], _vector(job.act, job.na))
+
+
+@numba.njit(inline="always")
+def _store(job, x):
+    """Read the state x out of mjData."""
+    _copy(_vector(job.qpos, job.nq), x[: job.nq])
+    _copy(_vector(job.qvel, job.nv), x[job.nq : job.nq + job.nv])
+    _copy(_vector(job.act, job.na), x[job.nq + job.nv :])
+
+
+@numba.njit(inline="always")
+def _feedback(job, n, x, deviation, u):
+    """Write u_ref + alpha k - K difference(x_ref, x) into u."""
+    nx, ndx = job.nq + job.nv + job.na, 2 * job.nv + job.na
+    u_ref, k = _vector(job.U_ref + 8 * n * job.nu, job.nu), _vector(job.k + 8 * n * job.nu, job.nu)
+    x_ref = _vector(job.X_ref + 8 * n * nx, nx)
+    K = _matrix(job.K + 8 * n * job.nu * ndx, job.nu, ndx)
+    mj_differentiatePos(job.model, deviation.ctypes.data, 1.0, x_ref.ctypes.data, x.ctypes.data)
+    for i in range(job.nv, ndx):
+        deviation[i] = x[job.nq + i - job.nv] - x_ref[job.nq + i - job.nv]
+    for i in range(job.nu):
+        total = u_ref[i] + job.alpha * k[i]
+        for j in range(ndx):
+            total -= K[i, j] * deviation[j]
+        u[i] = total
+
+
+@_compiled(_void(_address, _address, types.int32, types.voidptr))
+def simulate(_model, _data, worker, jobs):
+    """Roll out from X[0], under U, or under the feedback law when K is given (U is then written).
+
+    Writes X, U and Y up to the first bad knot, and its number (N + 1: there is none) into `bad_knot`.
+    """
+    job = numba.carray(jobs, worker + 1, JOB)[worker]
+    nx, N = job.nq + job.nv + job.na, job.N
+    X, U, Y = _matrix(job.X, N + 1, nx), _matrix(job.U, N, job.nu), _matrix(job.Y, N + 1, job.ny)
+    bad_knot = numba.carray(_pointer(job.bad_knot), (1,), np.int64)
+    ctrl, sensors = _vector(job.ctrl, job.nu), _vector(job.sensors, job.ny)
+    deviation = np.empty(2 * job.nv + job.na)
+    mj_resetData(job.model, job.data)
+    _load(job, X[0])
+    for n in range(N):
+        if job.K != 0:
+            _feedback(job, n, X[n], deviation, U[n])
+        if not (_sane(U[n]) and _sane(X[n])):
+            bad_knot[0] = n
+            return
+        _copy(U[n], ctrl)
+        mj_step(job.model, job.data)
+        _copy(sensors, Y[n])
+        _store(job, X[n + 1])
+        if _warned(job) or not _sane(X[n + 1]):
+            bad_knot[0] = n + 1 if _sane(Y[n]) else n
+            return
+        if not _sane(Y[n]):
+            bad_knot[0] = n
+            return
+    for i in range(job.nu):
+        ctrl[i] = 0.0
+    mj_forward(job.model, job.data)
+    _copy(sensors, Y[N])
+    bad_knot[0] = N if _warned(job) or not _sane(Y[N]) else N + 1
+
+
+@_compiled(_void(_address, _address, types.int32, types.voidptr))
+def transition(_model, _data, worker, jobs):
+    """Jacobians A, B, C, D of the knots first ... last - 1 by differences of the step (mjd_transitionFD).
+
+    Knot N has no step: only its C is computed, at zero control. The constraint solver starts from the solution
+    at the knot itself, found from a cold start, so that a knot's Jacobians do not depend on its neighbours.
+    """
+    job = numba.carray(jobs, worker + 1, JOB)[worker]
+    nx, ndx, nu, ny = job.nq + job.nv + job.na, 2 * job.nv + job.na, job.nu, job.ny
+    X, U = _matrix(job.X, job.N + 1, nx), _matrix(job.U, job.N, nu)
+    ctrl, qacc, warmstart = _vector(job.ctrl, nu), _vector(job.qacc, job.nv), _vector(job.warmstart, job.nv)
+    centered = types.uint8(job.centered)
+    mj_resetData(job.model, job.data)
+    for n in range(job.first, job.last):
+        _load(job, X[n])
+        for i in range(nu):
+            ctrl[i] = U[n, i] if n < job.N else 0.0
+        for i in range(job.nv):
+            warmstart[i] = 0.0
+        mj_forward(job.model, job.data)
+        _copy(qacc, warmstart)
+        C = job.C + 8 * n * ny * ndx if ny > 0 else 0
+        if n < job.N:
+            A, B, D = job.A + 8 * n * ndx * ndx, job.B + 8 * n * ndx * nu, job.D + 8 * n * ny * nu if ny > 0 else 0
+            mjd_transitionFD(job.model, job.data, job.eps, centered, A, B, C, D)
+        elif ny > 0:
+            mjd_transitionFD(job.model, job.data, job.eps, centered, 0, 0, C, 0)
+
+
+def address(kernel: Any) -> int:
+    """Address of a compiled kernel, for `Workers.run`."""
+    pointer = ctypes.cast(kernel.ctypes, ctypes.c_void_p).value
+    assert pointer is not None and math.isfinite(pointer)
+    return pointer

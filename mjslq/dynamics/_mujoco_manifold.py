@@ -1,0 +1,147 @@
+"""Differences of MuJoCo states: joint positions that hold quaternions, velocities, activations.
+
+Notation
+--------
+    q1, q2   unit quaternions (w, x, y, z), the orientation part of two states
+    phi      log(q1^-1 q2), a rotation vector in the frame of q1. [rad]
+    difference(x, y) = phi and integrate(x, phi) = q1 exp(phi) on quaternions, y - x and x + dx on everything else
+
+These are mj_differentiatePos and mj_integratePos with unit time, for whole arrays of states at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mjslq._validation import Array
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """Where the quaternions of a state are, and where its plain numbers."""
+
+    nx: int
+    ndx: int
+    plain_x: np.ndarray[Any, np.dtype[np.intp]]
+    """Entries of x that are plain numbers."""
+    plain_dx: np.ndarray[Any, np.dtype[np.intp]]
+    """Their tangent directions, in the same order."""
+    quat_x: np.ndarray[Any, np.dtype[np.intp]]
+    """Entries of x that hold a quaternion. Shape (nquat, 4)."""
+    quat_dx: np.ndarray[Any, np.dtype[np.intp]]
+    """Their tangent directions. Shape (nquat, 3)."""
+
+    @classmethod
+    def of_model(cls, model: Any) -> StateSpace:
+        """State space of an MjModel: x = (qpos, qvel, act)."""
+        nx, ndx = model.nq + model.nv + model.na, 2 * model.nv + model.na
+        free = np.asarray(model.jnt_type) == 0  # mjJNT_FREE: three positions before the quaternion
+        turns = free | (np.asarray(model.jnt_type) == 1)  # mjJNT_BALL
+        first_x = (np.asarray(model.jnt_qposadr) + 3 * free)[turns]
+        first_dx = (np.asarray(model.jnt_dofadr) + 3 * free)[turns]
+        quat_x = (first_x[:, None] + np.arange(4)).astype(np.intp)
+        quat_dx = (first_dx[:, None] + np.arange(3)).astype(np.intp)
+        plain_x = np.setdiff1d(np.arange(nx), quat_x)
+        plain_dx = np.setdiff1d(np.arange(ndx), quat_dx)
+        return cls(nx, ndx, plain_x, plain_dx, quat_x, quat_dx)
+
+    def difference(self, x: Array, y: Array) -> Array:
+        """Tangent direction from `x` to `y`. Shapes (..., nx) -> (..., ndx)."""
+        x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+        dx = np.empty((*np.broadcast_shapes(x.shape, y.shape)[:-1], self.ndx))
+        dx[..., self.plain_dx] = y[..., self.plain_x] - x[..., self.plain_x]
+        if len(self.quat_x):
+            dx[..., self.quat_dx] = _log(_product(_conjugate(x[..., self.quat_x]), y[..., self.quat_x]))
+        return dx
+
+    def integrate(self, x: Array, dx: Array) -> Array:
+        """State reached from `x` along `dx`. Shapes (..., nx), (..., ndx) -> (..., nx)."""
+        x, dx = np.asarray(x, dtype=np.float64), np.asarray(dx, dtype=np.float64)
+        y = np.empty((*np.broadcast_shapes(x.shape[:-1], dx.shape[:-1]), self.nx))
+        y[..., self.plain_x] = x[..., self.plain_x] + dx[..., self.plain_dx]
+        if len(self.quat_x):
+            turned = _product(x[..., self.quat_x], _exp(dx[..., self.quat_dx]))
+            y[..., self.quat_x] = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+        return y
+
+    def difference_jacobian(self, x: Array, y: Array) -> Array | None:
+        """Differentiate difference(x, y) by y, in tangent directions of y; None when it is the identity.
+
+        Shape (..., ndx, ndx). On a quaternion it is the inverse of the right Jacobian of the rotation group,
+        1 + 1/2 [phi] + c [phi]^2 with c = (1 - (t/2) cot(t/2)) / t^2 and t = |phi|.
+        """
+        if not len(self.quat_x):
+            return None
+        phi = self.difference(x, y)[..., self.quat_dx]  # (..., nquat, 3)
+        jacobian = np.zeros((*phi.shape[:-2], self.ndx, self.ndx))
+        jacobian[..., np.arange(self.ndx), np.arange(self.ndx)] = 1.0
+        jacobian[..., self.quat_dx[:, :, None], self.quat_dx[:, None, :]] = _inverse_right_jacobian(phi)
+        return jacobian
+
+    def tangent_basis(self, x: Array) -> Array | None:
+        """Differentiate integrate(x, dx) by dx at zero: half of q (0, w) on a quaternion; None when it is the identity.
+
+        Shapes (..., nx) -> (..., nx, ndx).
+        """
+        if not len(self.quat_x):
+            return None
+        x = np.asarray(x, dtype=np.float64)
+        basis = np.zeros((*x.shape, self.ndx))
+        basis[..., self.plain_x, self.plain_dx] = 1.0
+        for j, unit in enumerate(np.eye(4)[1:]):
+            basis[..., self.quat_x, self.quat_dx[:, j, None]] = 0.5 * _product(x[..., self.quat_x], unit)
+        return basis
+
+    def normalized(self, x: Array) -> Array:
+        """`x` with quaternions of unit length; one of length zero raises ValueError. Shape (..., nx)."""
+        if not len(self.quat_x):
+            return x
+        quats = x[..., self.quat_x]
+        length = np.linalg.norm(quats, axis=-1, keepdims=True)
+        if (length < 1e-9).any():
+            first = self.quat_x[int(np.argwhere(length < 1e-9)[0][-2])][0]
+            raise ValueError(f"entries {first} to {first + 3} of the state are a quaternion and must not be all zero")
+        x = x.copy()
+        x[..., self.quat_x] = np.where(np.abs(length - 1.0) > 1e-12, quats / length, quats)
+        return x
+
+
+def _conjugate(q: Array) -> Array:
+    return q * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def _product(p: Array, q: Array) -> Array:
+    """Product of quaternions. Shape (..., 4)."""
+    pw, pv, qw, qv = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
+    scalar = pw * qw - (pv * qv).sum(axis=-1, keepdims=True)
+    return np.concatenate([scalar, pw * qv + qw * pv + np.cross(pv, qv)], axis=-1)
+
+
+def _log(q: Array) -> Array:
+    """Rotation vector of a quaternion of any length above zero, of angle at most pi. Shape (..., 4) -> (..., 3)."""
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[..., :1])
+    angle = np.where(angle > np.pi, angle - 2.0 * np.pi, angle)
+    return q[..., 1:] * (angle / np.where(sine > 0.0, sine, 1.0))
+
+
+def _exp(phi: Array) -> Array:
+    """Quaternion of a rotation vector. Shape (..., 3) -> (..., 4)."""
+    half = 0.5 * np.linalg.norm(phi, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * phi], axis=-1)
+
+
+def _inverse_right_jacobian(phi: Array) -> Array:
+    """Differentiate log(q exp(w)) by w at zero, where log(q) = phi. Shape (..., 3) -> (..., 3, 3)."""
+    square = (phi * phi).sum(axis=-1)
+    angle = np.sqrt(square)
+    small = angle < 1e-3
+    half = np.where(small, 1.0, 0.5 * angle)
+    c = np.where(small, 1.0 / 12.0 + square / 720.0, (1.0 - half / np.tan(half)) / np.where(small, 1.0, square))
+    skew = np.zeros((*phi.shape, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        skew[..., j, i], skew[..., i, j] = phi[..., k], -phi[..., k]
+    return np.eye(3) + 0.5 * skew + c[..., None, None] * (skew @ skew)

@@ -1,0 +1,61 @@
+"""Names of the entries of states, controls and outputs, made of the names in the model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+
+_POSITIONS = {
+    mujoco.mjtJoint.mjJNT_FREE: (".x", ".y", ".z", ".qw", ".qx", ".qy", ".qz"),
+    mujoco.mjtJoint.mjJNT_BALL: (".qw", ".qx", ".qy", ".qz"),
+    mujoco.mjtJoint.mjJNT_SLIDE: ("",),
+    mujoco.mjtJoint.mjJNT_HINGE: ("",),
+}
+_VELOCITIES = {
+    mujoco.mjtJoint.mjJNT_FREE: (".vx", ".vy", ".vz", ".wx", ".wy", ".wz"),
+    mujoco.mjtJoint.mjJNT_BALL: (".wx", ".wy", ".wz"),
+    mujoco.mjtJoint.mjJNT_SLIDE: (".vel",),
+    mujoco.mjtJoint.mjJNT_HINGE: (".vel",),
+}
+
+
+def state_names(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Names of x: positions "hip", "root.qw"; velocities "hip.vel", "root.wx"; activations "muscle.act"."""
+    positions, velocities = [], []
+    for j in range(model.njnt):
+        name, kind = _name(model.joint(j), "joint"), mujoco.mjtJoint(model.jnt_type[j])
+        positions += [name + end for end in _POSITIONS[kind]]
+        velocities += [name + end for end in _VELOCITIES[kind]]
+    activations: list[str] = []
+    for a in range(model.nu):
+        if model.actuator_actnum[a] > 0:
+            activations += _numbered(_name(model.actuator(a), "actuator") + ".act", int(model.actuator_actnum[a]))
+    return (*positions, *velocities, *activations)
+
+
+def control_names(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Names of u: the actuators."""
+    return tuple(_name(model.actuator(a), "actuator") for a in range(model.nu))
+
+
+def output_names(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Names of y: a sensor's own name, with an index when it has several readings: "hand[0]"."""
+    names: list[str] = []
+    for s in range(model.nsensor):
+        names += _numbered(_name(model.sensor(s), "sensor"), int(model.sensor_dim[s]))
+    return tuple(names)
+
+
+def model_name(model: mujoco.MjModel) -> str | None:
+    """Return the name in the model itself; None when it has only MuJoCo's default."""
+    name = bytes(model.names).split(b"\0", 1)[0].decode(errors="replace")
+    return None if name in ("", "MuJoCo Model") else name
+
+
+def _name(element: Any, kind: str) -> str:
+    return element.name or f"{kind}{element.id}"
+
+
+def _numbered(name: str, count: int) -> list[str]:
+    return [name] if count == 1 else [f"{name}[{i}]" for i in range(count)]

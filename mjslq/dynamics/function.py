@@ -1,0 +1,268 @@
+"""`FunctionDynamics`: a system given as a function, an ordinary differential equation or a map.
+
+Notation
+--------
+    x' = f(x, u, t, p)                         integrator "euler", "semi-implicit-euler" or "rk4"
+    x_{n+1} = f(x_n, u_n, t_n, p)              integrator "map"
+    u is constant over a step, t the time [s], p constants that are handed through unchanged
+
+    euler                  x_{n+1} = x_n + h f(x_n, u_n)
+    semi-implicit-euler    x = (q, v):  v_{n+1} = v_n + h f_v(q_n, v_n, u_n)
+                                        q_{n+1} = q_n + h f_q(q_n, v_{n+1}, u_n)      (as MuJoCo's Euler)
+    rk4                    the classical Runge-Kutta step of fourth order
+
+Functions compiled with numba.njit run over the whole horizon without a Python call per step.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import numba
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from numpy.typing import ArrayLike
+
+from mjslq._validation import Array, as_array, choose, count
+from mjslq.dynamics import _function_kernels as kernels
+from mjslq.dynamics._base import Dynamics, Linearization
+from mjslq.scene import Scene
+from mjslq.trajectory import Trajectory
+
+Integrator = Literal["map", "euler", "semi-implicit-euler", "rk4"]
+_INTEGRATORS = {
+    "map": kernels.MAP,
+    "euler": kernels.EULER,
+    "semi-implicit-euler": kernels.SEMI_IMPLICIT_EULER,
+    "rk4": kernels.RK4,
+}
+
+
+class FunctionDynamics(Dynamics):
+    """Dynamics from f(x, u), f(x, u, t) or f(x, u, t, p).
+
+    Parameters
+    ----------
+    f : callable
+        Returns x' (or the next state, for a map) as an array of shape (nx,). Plain Python, or compiled with
+        `numba.njit`, then it must return a new float64 array, complex for complex x and u.
+    nx, nu : int
+        Number of states and of controls.
+    dt : float or array
+        Length of a step, or of each. Shape (N,). [s]
+    integrator : str
+        "map", "euler", "semi-implicit-euler" or "rk4".
+    jacobian : str or callable
+        "complex-step" (exact; f must be analytic: no abs, no real parts but in comparisons),
+        "finite-difference" (centred), or jacobian(x, u, t) -> (A, B) of the *discrete step*, shapes (nx, nx)
+        and (nx, nu).
+    outputs : callable, optional
+        y = outputs(x, u, t), shape (ny,), recorded along rollouts; differentiated as `jacobian` says.
+    parameters : array
+        p, for compiled functions whose constants change between problems.
+    nv : int, optional
+        Velocities among the states, the last ones, for "semi-implicit-euler"; nx // 2 unless given.
+    state_names, control_names, output_names : sequence of str
+        For plots and messages.
+    scene : Scene, optional
+        What a viewer draws.
+
+    Raises
+    ------
+    ValueError
+        When f does not return shape (nx,) at the origin, or an argument is out of place.
+    """
+
+    def __init__(
+        self,
+        f: Callable[..., Any],
+        nx: int,
+        nu: int,
+        dt: float | ArrayLike,
+        *,
+        integrator: Integrator = "rk4",
+        jacobian: Literal["complex-step", "finite-difference"] | Callable[..., Any] = "complex-step",
+        outputs: Callable[..., Any] | None = None,
+        parameters: ArrayLike = (),
+        nv: int | None = None,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+        output_names: Sequence[str] | None = None,
+        scene: Scene | None = None,
+    ) -> None:
+        self.nx = self.ndx = count("nx", nx)
+        self.nu = count("nu", nu)
+        steps = as_array("dt", dt)
+        if steps.ndim > 1 or (steps <= 0.0).any():
+            raise ValueError(f"dt must be a positive number, or one per step, got shape {steps.shape}: {dt}")
+        self.dt = steps if steps.ndim else float(steps)
+        self.integrator = choose("integrator", integrator, _INTEGRATORS)
+        self.parameters = as_array("parameters", parameters, ("size",))
+        self._nv = self.nx // 2 if nv is None else count("nv", nv)
+        if self._nv > self.nx:
+            raise ValueError(f"nv must be at most nx = {self.nx}, got {nv}")
+        if callable(jacobian):
+            self._given_jacobian: Callable[..., Any] | None = jacobian
+            self.jacobian = "given"
+        else:
+            self._given_jacobian = None
+            self.jacobian = choose("jacobian", jacobian, ("complex-step", "finite-difference"))
+        self.compiled = isinstance(f, Dispatcher)
+        self._f = _with_all_arguments(f, self.compiled)
+        self._outputs = outputs if outputs is None else _with_time(outputs)
+        self._scene = scene
+        self._probe()
+        self.ny = 0 if self._outputs is None else self._read(np.zeros(nx), np.zeros(nu), 0.0).size
+        self.state_names = _names("state_names", state_names, "x", self.nx)
+        self.control_names = _names("control_names", control_names, "u", self.nu)
+        self.output_names = _names("output_names", output_names, "y", self.ny)
+
+    def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
+        """One step in plain Python; see `Dynamics.step`."""
+        times, steps = self._grid(n + 1)
+        function = self._f.py_func if isinstance(self._f, Dispatcher) else self._f
+        forward = kernels.advance(function, self._code, self._nv, x, u, times[n], steps[n], self.parameters)
+        return np.asarray(forward), self._read(x, u, times[n])
+
+    def rollout(self, x0: ArrayLike, U: ArrayLike) -> Trajectory:
+        """Simulate from `x0` (nx,) under `U` (N, nu)."""
+        controls = self.checked_controls(U)
+        X = np.empty((len(controls) + 1, self.nx))
+        X[0] = self.checked_start(x0)
+        roll = kernels.rollout_compiled if self.compiled else kernels.rollout
+        with np.errstate(all="ignore"):
+            bad = roll(*self._arguments(len(controls)), controls, X)
+        return self._trajectory(X, controls, bad)
+
+    def rollout_feedback(
+        self, reference: Trajectory, K: Array, k: Array, alpha: float = 1.0, x0: ArrayLike | None = None
+    ) -> Trajectory:
+        """Simulate under u_ref + alpha k - K (x - x_ref); see `Dynamics.rollout_feedback`."""
+        X, U = np.empty_like(reference.X), np.empty_like(reference.U)
+        X[0] = reference.X[0] if x0 is None else self.checked_start(x0)
+        roll = kernels.rollout_feedback_compiled if self.compiled else kernels.rollout_feedback
+        fixed = (np.array(reference.X), np.array(reference.U))  # writable, as the compiled signature wants
+        with np.errstate(all="ignore"):
+            bad = roll(*self._arguments(len(U)), *fixed, K, k, alpha, X, U)
+        return self._trajectory(X, U, bad)
+
+    def linearize(self, trajectory: Trajectory) -> Linearization:
+        """Jacobians of every step of `trajectory`, and of the outputs."""
+        N = trajectory.horizon
+        X, U = np.array(trajectory.X), np.array(trajectory.U)
+        A, B = np.empty((N, self.nx, self.nx)), np.empty((N, self.nx, self.nu))
+        if self._given_jacobian is not None:
+            for n, t in enumerate(self._grid(N)[0]):
+                A[n], B[n] = self._given_jacobian(X[n], U[n], t)
+        else:
+            kind = "complex" if self.jacobian == "complex-step" else "differences"
+            name = f"linearize_{kind}" + ("_compiled" if self.compiled else "")
+            with np.errstate(all="ignore"):
+                getattr(kernels, name)(*self._arguments(N), X, U, A, B)
+        return Linearization(A, B, *self._linearize_outputs(X, U))
+
+    def scene(self) -> Scene | None:
+        """What was given as `scene`."""
+        return self._scene
+
+    @property
+    def _code(self) -> int:
+        return _INTEGRATORS[self.integrator]
+
+    def _grid(self, N: int) -> tuple[Array, Array]:
+        """Times at which the steps begin, and their lengths. Shapes (N,), (N,)."""
+        if isinstance(self.dt, float):
+            return self.dt * np.arange(N), np.full(N, self.dt)
+        ends = np.cumsum(self.dt)
+        return (ends - self.dt)[:N], self.dt[:N]
+
+    def _arguments(self, N: int) -> tuple[Any, ...]:
+        self.steps(N)
+        times, steps = self._grid(N)
+        return (self._f, self._code, self._nv, times, steps, self.parameters)
+
+    def _trajectory(self, X: Array, U: Array, bad: int) -> Trajectory:
+        N = len(U)
+        good = N + 1 if bad < 0 else bad
+        Y = np.full((N + 1, self.ny), np.nan)
+        if self.ny:
+            times = np.append(self._grid(N)[0], self.steps(N).sum())
+            held = np.vstack([U, np.zeros(self.nu)])
+            for n in range(good):
+                Y[n] = self._read(X[n], held[n], times[n])
+        return Trajectory(X, U, Y, self.dt, None if bad < 0 else bad)
+
+    def _read(self, x: Array, u: Array, t: float) -> Array:
+        if self._outputs is None:
+            return np.zeros(0)
+        return np.atleast_1d(np.asarray(self._outputs(x, u, t)))
+
+    def _linearize_outputs(self, X: Array, U: Array) -> tuple[Array, Array]:
+        N = len(U)
+        C, D = np.zeros((N + 1, self.ny, self.nx)), np.zeros((N + 1, self.ny, self.nu))
+        if self.ny:
+            times = np.append(self._grid(N)[0], self.steps(N).sum())
+            held = np.vstack([U, np.zeros(self.nu)])
+            differentiate = kernels.linearize_complex
+            if self.jacobian == "finite-difference":
+                differentiate = kernels.linearize_differences
+            for n in range(N + 1):
+                function = _Reading(self._read)
+                one = (function, kernels.MAP, 0, times[n : n + 1], np.ones(1), self.parameters)
+                differentiate(*one, X[n : n + 1], held[n : n + 1], C[n : n + 1], D[n : n + 1])
+            D[N] = 0.0
+        return C, D
+
+    def _probe(self) -> None:
+        """Call f once, so that a wrong shape is reported here and not from inside a rollout."""
+        function = self._f.py_func if isinstance(self._f, Dispatcher) else self._f
+        try:
+            with np.errstate(all="ignore"):
+                value = np.asarray(function(np.zeros(self.nx), np.zeros(self.nu), 0.0, self.parameters))
+        except (IndexError, ValueError) as error:
+            raise ValueError(f"f fails for x of shape ({self.nx},) and u of shape ({self.nu},): {error}") from None
+        if value.shape != (self.nx,):
+            raise ValueError(f"f must return shape ({self.nx},), got {value.shape}")
+
+
+class _Reading:
+    """Outputs with the arguments of a map, for the same differentiation code."""
+
+    def __init__(self, read: Callable[[Array, Array, float], Array]) -> None:
+        self._read = read
+
+    def __call__(self, x: Array, u: Array, t: float, p: Array) -> Array:
+        return self._read(x, u, t)
+
+
+def _with_all_arguments(f: Callable[..., Any], compiled: bool) -> Callable[..., Any]:
+    """Return f as a function of (x, u, t, p); plain functions return arrays whatever they are given as."""
+    given = _positional(f.py_func if isinstance(f, Dispatcher) else f)
+    if given not in (2, 3, 4):
+        raise ValueError(f"f must take (x, u), (x, u, t) or (x, u, t, p), but takes {given} arguments")
+    if compiled:
+        if given == 4:
+            return f
+        if given == 3:
+            return numba.njit(lambda x, u, t, p: f(x, u, t))
+        return numba.njit(lambda x, u, t, p: f(x, u))
+    return lambda x, u, t, p: np.asarray(f(*(x, u, t, p)[:given]))
+
+
+def _with_time(outputs: Callable[..., Any]) -> Callable[..., Any]:
+    return outputs if _positional(outputs) >= 3 else lambda x, u, t: outputs(x, u)
+
+
+def _positional(f: Callable[..., Any]) -> int:
+    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    return sum(p.kind in kinds and p.default is p.empty for p in inspect.signature(f).parameters.values())
+
+
+def _names(name: str, given: Sequence[str] | None, letter: str, size: int) -> tuple[str, ...]:
+    if given is None:
+        return tuple(f"{letter}[{i}]" for i in range(size))
+    if len(given) != size:
+        raise ValueError(f"{name} must have {size} entries, got {len(given)}")
+    return tuple(given)

@@ -1,0 +1,115 @@
+"""`Problem`: a system, a horizon, a start and a cost, checked as a whole when it is made.
+
+    minimize   J(U) = sum_n l_n(x_n, u_n)   subject to   x_{n+1} = f_n(x_n, u_n),  x_0 given
+
+(Sideris and Bobrow 2005, (1)-(2)). The controls U are the unknowns; the states follow by rollout.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mjslq._validation import Array, as_array, count, frozen
+from mjslq.costs import BoundTerm, CostTerm, Expansion
+from mjslq.dynamics._base import Dynamics, Linearization
+from mjslq.lq.adjoint import adjoint
+from mjslq.scene import Scene
+from mjslq.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """An optimal control problem over a fixed horizon.
+
+    Raises ValueError when sizes do not belong together; the message names the argument.
+    """
+
+    dynamics: Dynamics
+    """The system."""
+    horizon: int
+    """Number of steps N."""
+    x0: ArrayLike
+    """Initial state. Shape (nx,)."""
+    costs: Sequence[CostTerm]
+    """Terms of the cost, added up."""
+    name: str = "problem"
+    """For titles and messages."""
+    U0: ArrayLike | None = None
+    """Controls to start from; zero unless given. Shape (nu,) | (N, nu)."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Options that `solve` takes for this problem unless told otherwise, such as its stopping tolerance."""
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    """What the problem was made with, for the record."""
+    drawn_by: Scene | None = None
+    """What a viewer draws; the engine's own scene unless given."""
+    _terms: tuple[BoundTerm, ...] = field(init=False, repr=False, default=())
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.dynamics, Dynamics):
+            raise ValueError(f"dynamics must be an engine (MujocoDynamics, ...), got {type(self.dynamics).__name__}")
+        dynamics, N = self.dynamics, count("horizon", self.horizon)
+        dynamics.steps(N)
+        store = object.__setattr__  # the way to fill a frozen record
+        store(self, "x0", frozen(dynamics.checked_start(self.x0)))
+        U0 = np.zeros(dynamics.nu) if self.U0 is None else as_array("U0", self.U0)
+        if U0.shape not in ((dynamics.nu,), (N, dynamics.nu)):
+            raise ValueError(f"U0 must have shape ({dynamics.nu},) or ({N}, {dynamics.nu}), got {U0.shape}")
+        store(self, "U0", frozen(np.array(np.broadcast_to(U0, (N, dynamics.nu)), order="C")))
+        terms = [self.costs] if isinstance(self.costs, CostTerm) else list(self.costs)
+        if not terms:
+            raise ValueError("costs must name at least one term, or there is nothing to minimize")
+        bound: list[BoundTerm] = []
+        for i, term in enumerate(terms):
+            if not isinstance(term, CostTerm):
+                raise ValueError(f"costs[{i}] must be a term of mjslq.costs, got {type(term).__name__}")
+            try:
+                bound.extend(term.bind(dynamics, N))
+            except ValueError as error:
+                raise ValueError(f"costs[{i}] ({type(term).__name__}): {error}") from None
+        store(self, "costs", tuple(terms))
+        store(self, "_terms", tuple(bound))
+
+    def rollout(self, U: ArrayLike) -> Trajectory:
+        """Simulate from x0 under the controls `U` (N, nu)."""
+        return self.dynamics.rollout(self.x0, self.checked_controls(U))
+
+    def cost(self, trajectory: Trajectory) -> float:
+        """Total cost J; infinite for a trajectory that diverged."""
+        if trajectory.diverged:
+            return math.inf
+        with np.errstate(over="ignore", invalid="ignore"):
+            total = sum(term.cost(trajectory) for term in self._terms)
+        return total if math.isfinite(total) else math.inf
+
+    def expand(self, trajectory: Trajectory, linearization: Linearization | None = None) -> Expansion:
+        """Second-order (Gauss-Newton) expansion of the cost about `trajectory`."""
+        if linearization is None:
+            linearization = self.dynamics.linearize(trajectory)
+        expansion = Expansion.zeros(self.horizon, self.dynamics.ndx, self.dynamics.nu)
+        for term in self._terms:
+            term.expand(trajectory, linearization, expansion)
+        return expansion
+
+    def gradient(self, trajectory: Trajectory) -> Array:
+        """Gradient dJ/dU by the adjoint recursion. Shape (N, nu).  (Sideris and Bobrow 2005, (8)-(10).)"""
+        linearization = self.dynamics.linearize(trajectory)
+        expansion = self.expand(trajectory, linearization)
+        return adjoint(linearization.A, linearization.B, expansion.q, expansion.r)[1]
+
+    def scene(self) -> Scene | None:
+        """What a viewer draws for this problem."""
+        return self.dynamics.scene() if self.drawn_by is None else self.drawn_by
+
+    def checked_controls(self, U: ArrayLike, name: str = "U0") -> Array:
+        """Return `U` as (N, nu); one control (nu,) is held over the horizon."""
+        shape = (self.horizon, self.dynamics.nu)
+        array = as_array(name, U)
+        if array.shape not in (shape, shape[1:]):
+            raise ValueError(f"{name} must have shape {shape} or {shape[1:]}, got {array.shape}")
+        return np.array(np.broadcast_to(array, shape), order="C")

@@ -1,0 +1,62 @@
+"""The catalogue: problems that come with mjslq, each with the numbers that its paper reports.
+
+    names()                        the problems there are
+    get("hopper", height=30.0)     one of them, with its parameters
+    parameters("hopper")           what can be set, and the defaults
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+from mjslq._validation import choose
+from mjslq.problem import Problem
+
+# Modules are imported when their problem is asked for: one may need an engine that another does not.
+_CATALOGUE = {
+    "drag_particle": "a particle pushed through quadratic drag (Sideris and Bobrow 2005, section 4.1)",
+    "hopper": "a gas-actuated hopping machine that reaches a height (Sideris and Bobrow 2005, section 4.2)",
+}
+
+
+def names() -> list[str]:
+    """Names of the problems."""
+    return list(_CATALOGUE)
+
+
+def summary(name: str) -> str:
+    """One line about a problem."""
+    return _CATALOGUE[choose("problem", name, _CATALOGUE)]
+
+
+def parameters(name: str) -> dict[str, Any]:
+    """What can be set in a problem, with the defaults."""
+    return {p.name: p.default for p in inspect.signature(_maker(name)).parameters.values()}
+
+
+def get(name: str, **values: Any) -> Problem:
+    """Make a problem.
+
+    Raises ValueError for an unknown name or parameter, listing those there are, and for values out of range.
+    """
+    known = parameters(name)
+    for key in values:
+        choose(f"parameter of {name}", key, known)
+    for key, value in values.items():
+        _check_kind(name, key, value, known[key])
+    return _maker(name)(**values)
+
+
+def _maker(name: str) -> Callable[..., Problem]:
+    choose("problem", name, _CATALOGUE)
+    return getattr(importlib.import_module(f"mjslq.problems.{name}"), name)
+
+
+def _check_kind(problem: str, key: str, value: Any, default: Any) -> None:
+    """A text where a number belongs (and the reverse) is refused here, for all problems alike."""
+    if isinstance(default, str) != isinstance(value, str):
+        kind = "a text" if isinstance(default, str) else "a number"
+        raise ValueError(f"{problem}: {key} must be {kind} such as {default!r}, got {value!r}")

@@ -1,0 +1,25 @@
+"""`Scene`: a compiled MuJoCo model and how to read its pose out of a state, without any engine behind it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjslq._validation import Array
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a viewer needs to draw a trajectory; kept inside saved results."""
+
+    model: bytes
+    """The compiled model in MuJoCo's binary format (MJB)."""
+    columns: tuple[int, ...]
+    """Entries of the state x that are the model's qpos, in its order. Length nq."""
+    name: str = "model"
+    """The model's name, for titles."""
+
+    def poses(self, X: Array) -> Array:
+        """Joint positions qpos of the model along the states `X` (N + 1, nx). Shape (N + 1, nq)."""
+        return np.ascontiguousarray(np.asarray(X)[:, list(self.columns)])

@@ -1,0 +1,187 @@
+"""Line searches: how far to go along a descent direction, 0 < alpha <= 1.
+
+Notation
+--------
+    phi(alpha)   cost after a step of size alpha       phi'(0) = slope < 0
+    c1, c2       sufficient decrease, curvature
+
+    armijo          halve alpha until phi(alpha) <= phi(0) + c1 alpha phi'(0)
+    goldstein       also phi(alpha) >= phi(0) + (1 - c1) alpha phi'(0): not too short, by bisection
+    wolfe           armijo, and |phi'(alpha)| <= c2 |phi'(0)| (strong), by bisection
+    quadratic-fit   minimum of the parabola through phi at 0, alpha/2, alpha; alpha shrinks until one of them descends
+    exact           minimum over (0, 1] by a scan and Brent's method (scipy.optimize.minimize_scalar)
+
+Roundoff rule. Near a minimum the differences of phi drown in rounding while its derivatives still tell. When the
+decrease that a step can hope for, |phi'(0)|, is below `ROUNDOFF` |phi(0)|, every search looks at the norm of the
+gradient first, and at the cost only if that does not fall. Without this rule all searches stall some digits early.
+
+Sources: Sideris and Bobrow 2005, Algorithm 2, Step 3; Nocedal and Wright, Numerical Optimization, chapter 3.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from scipy.optimize import minimize_scalar
+
+from mjslq.solvers._iterate import Iterate
+
+Slope = Callable[[Iterate, float], float]
+
+C1 = 1e-4
+C1_GOLDSTEIN = 0.1
+C2 = 0.9
+SMALLEST = 1e-10
+"""Step below which a search gives up."""
+ROUNDOFF = 1e-9
+
+
+class Trial:
+    """phi and its derivative along one direction, counting rollouts and remembering the best iterate."""
+
+    def __init__(
+        self, here: Iterate, slope: float, step: Callable[[float], Iterate], slope_at: Slope | None = None
+    ) -> None:
+        self.here, self.slope = here, slope
+        self.evaluations = 0
+        self._step, self._slope_at = step, slope_at
+        self._known: dict[float, Iterate] = {}
+
+    def __call__(self, alpha: float) -> Iterate:
+        """Iterate after a step of size alpha."""
+        if alpha not in self._known:
+            self._known[alpha] = self._step(alpha)
+            self.evaluations += 1
+        return self._known[alpha]
+
+    def cost(self, alpha: float) -> float:
+        """phi(alpha); infinite where the rollout diverges."""
+        return self(alpha).cost
+
+    def slope_at(self, alpha: float) -> float:
+        """phi'(alpha), by a difference unless the step offers better."""
+        if self._slope_at is not None:
+            return self._slope_at(self(alpha), alpha)
+        e = 1e-6 * alpha
+        return (self.cost(alpha + e) - self.cost(alpha - e)) / (2.0 * e)
+
+    def best(self) -> float:
+        """Step of least cost among those tried."""
+        return min(self._known, key=lambda alpha: self._known[alpha].cost)
+
+
+class Step(NamedTuple):
+    """An accepted step."""
+
+    alpha: float
+    iterate: Iterate
+
+
+def search(name: str, trial: Trial) -> Step | None:
+    """Find a step by the search called `name`; None when none down to `SMALLEST` will do."""
+    alpha = by_gradient_norm(trial) if in_roundoff(trial.slope, trial.here.cost) else None
+    if alpha is None:
+        alpha = SEARCHES[name](trial)
+    return None if alpha is None else Step(float(alpha), trial(alpha))
+
+
+def in_roundoff(slope: float, cost: float) -> bool:
+    """Whether the decrease to hope for drowns in the rounding of the cost."""
+    return abs(slope) < ROUNDOFF * abs(cost)
+
+
+def by_gradient_norm(trial: Trial) -> float | None:
+    """The roundoff rule: halve alpha until the gradient is smaller than here and the cost no higher than rounding."""
+    alpha, tolerated = 1.0, trial.here.cost + 10.0 * ROUNDOFF * abs(trial.here.cost)
+    while alpha > 1e-3:
+        there = trial(alpha)
+        if there.cost <= tolerated and there.gradient_norm < trial.here.gradient_norm:
+            return alpha
+        alpha *= 0.5
+    return None
+
+
+def armijo(trial: Trial) -> float | None:
+    """Backtracking by halves."""
+    alpha = 1.0
+    while alpha > SMALLEST:
+        if trial.cost(alpha) <= trial.here.cost + C1 * alpha * trial.slope:
+            return alpha
+        alpha *= 0.5
+    return None
+
+
+def goldstein(trial: Trial) -> float | None:
+    """Neither too long nor too short, by bisection; alpha = 1 may be short."""
+    low, high, alpha = 0.0, 1.0, 1.0
+    for _ in range(60):
+        change = trial.cost(alpha) - trial.here.cost
+        if change > C1_GOLDSTEIN * alpha * trial.slope:
+            high = alpha
+        elif change < (1.0 - C1_GOLDSTEIN) * alpha * trial.slope and alpha < 1.0:
+            low = alpha
+        else:
+            return alpha
+        alpha = 0.5 * (low + high)
+        if alpha < SMALLEST:
+            return None
+    return low or None  # the two bounds met at a kink: the longest step known to descend
+
+
+def wolfe(trial: Trial) -> float | None:
+    """Strong Wolfe conditions by bisection; alpha = 1 may end with a steep slope, there is no going further."""
+    low, high, alpha = 0.0, 1.0, 1.0
+    for _ in range(60):
+        if trial.cost(alpha) > trial.here.cost + C1 * alpha * trial.slope:
+            high = alpha
+        else:
+            slope = trial.slope_at(alpha)
+            if slope > C2 * abs(trial.slope):
+                high = alpha
+            elif slope < C2 * trial.slope and alpha < 1.0:
+                low = alpha
+            else:
+                return alpha
+        alpha = 0.5 * (low + high)
+        if alpha < SMALLEST:
+            return None
+    return low or None
+
+
+def quadratic_fit(trial: Trial) -> float | None:
+    """Minimum of a parabola through three points, or the best of the points themselves."""
+    alpha = 1.0
+    while alpha > SMALLEST:
+        start, middle, end = trial.here.cost, trial.cost(0.5 * alpha), trial.cost(alpha)
+        if min(middle, end) < start:
+            curvature = start - 2.0 * middle + end
+            if math.isfinite(curvature) and curvature > 0.0:
+                vertex = 0.25 * alpha * (3.0 * start - 4.0 * middle + end) / curvature
+                trial.cost(min(max(vertex, 0.05 * alpha), 1.0))
+            return trial.best()
+        alpha *= 0.25
+    return None
+
+
+def exact(trial: Trial) -> float | None:
+    """Minimum over (0, 1]: a geometric scan brackets it, Brent's method refines it."""
+    grid = [2.0**-i for i in range(12)]
+    costs = [trial.cost(alpha) for alpha in grid]
+    least = min(range(len(grid)), key=costs.__getitem__)
+    if not costs[least] < trial.here.cost:
+        return armijo(trial)
+    upper = grid[max(least - 1, 0)]
+    lower = grid[least + 1] if least + 1 < len(grid) else 0.0
+    minimize_scalar(trial.cost, bounds=(lower, upper), method="bounded", options={"xatol": 1e-6 * upper})
+    return trial.best()
+
+
+SEARCHES: dict[str, Callable[[Trial], float | None]] = {
+    "quadratic-fit": quadratic_fit,
+    "armijo": armijo,
+    "goldstein": goldstein,
+    "wolfe": wolfe,
+    "exact": exact,
+}

@@ -1,0 +1,72 @@
+"""`Trajectory`: what a rollout returns and every method passes on.
+
+Notation
+--------
+    x_n   state at knot n,  n = 0 ... N        X  Shape (N + 1, nx)
+    u_n   control over step n, n = 0 ... N-1   U  Shape (N, nu)
+    y_n   output (sensor readings) at knot n   Y  Shape (N + 1, ny)
+    h_n   length of step n [s]                 dt Shape (N,)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mjslq._validation import Array, as_array, frozen
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """States, controls and outputs over a horizon of N steps.
+
+    A rollout that blows up is a trajectory too: `diverged_at` names its first bad knot, and the entries from
+    there on are NaN. Such a trajectory can be looked at, but costs infinity.
+
+    Raises ValueError when shapes do not belong together or a knot before `diverged_at` is not finite.
+    """
+
+    X: Array
+    """States. Shape (N + 1, nx)."""
+    U: Array
+    """Controls. Shape (N, nu)."""
+    Y: Array = field(default=None)  # type: ignore[assignment]  # filled in __post_init__
+    """Outputs. Shape (N + 1, ny); ny = 0 when the engine has none."""
+    dt: ArrayLike = 1.0
+    """Step lengths: a number, or one per step; kept as an array. Shape (N,). [s]"""
+    diverged_at: int | None = None
+    """First knot at which the rollout was not finite or the engine warned; None when all is well."""
+
+    def __post_init__(self) -> None:
+        good = None if self.diverged_at is None else int(self.diverged_at)
+        X = as_array("X", self.X, ("N + 1", "nx"), finite=False)
+        U = as_array("U", self.U, (len(X) - 1, "nu"), finite=False)
+        Y = np.zeros((len(X), 0)) if self.Y is None else self.Y
+        Y = as_array("Y", Y, (len(X), "ny"), finite=False)
+        as_array("X", X[:good])
+        as_array("U", U)
+        as_array("Y", Y[:good])
+        dt = as_array("dt", self.dt)
+        if dt.ndim and dt.shape != (len(U),):
+            raise ValueError(f"dt must be a number or one per step ({len(U)},), got shape {dt.shape}")
+        if (dt <= 0.0).any():
+            raise ValueError(f"dt must be positive, got {dt.min()}")
+        for name, array in (("X", X), ("U", U), ("Y", Y), ("dt", np.broadcast_to(dt, (len(U),)))):
+            object.__setattr__(self, name, frozen(array))
+
+    @property
+    def horizon(self) -> int:
+        """Number of steps N."""
+        return len(self.U)
+
+    @property
+    def times(self) -> Array:
+        """Time of each knot. Shape (N + 1,). [s]"""
+        return np.concatenate([[0.0], np.cumsum(self.dt)])
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the rollout blew up."""
+        return self.diverged_at is not None

@@ -1,0 +1,60 @@
+"""Results in a browser: `view` serves one, `export_html` writes one to a file that plays anywhere.
+
+Viser and MuJoCo are imported when something is shown, not before.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+from mjslq.result import Result
+
+if TYPE_CHECKING:
+    from mjslq.viewer.player import Player as Player
+
+__all__ = ["Player", "export_html", "view"]
+
+
+def view(result: Result, host: str = "127.0.0.1", port: int = 8080, block: bool = True) -> Player:
+    """Show `result` in a browser: the motion, its plots, and the iterations that led to it.
+
+    Parameters
+    ----------
+    result
+        Of `mjslq.solve` or `mjslq.load`; needs no solver. Without a scene there are only plots.
+    host, port
+        Where to serve; a port that is taken gives way to the next free one, and the one in use is printed.
+    block
+        Stay until Ctrl-C. Otherwise return at once; the caller stops the `Player` returned.
+
+    """
+    from mjslq.viewer.player import Player
+
+    player = Player(result, host, port)
+    player.start()
+    try:
+        print(f"viewer at {player.url}" + (" (Ctrl-C ends it)" if block else ""), flush=True)
+        if block:
+            player.wait()
+    except KeyboardInterrupt:
+        player.stop()
+    return player
+
+
+def export_html(result: Result, path: str | os.PathLike[str]) -> None:
+    """Write `result` to one HTML file that plays in any browser, from disk and without a network.
+
+    Raises ValueError when the file cannot be written or the result's scene cannot be read.
+    """
+    from mjslq.viewer.export import export_html as write
+
+    write(result, path)
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Player":
+        from mjslq.viewer.player import Player
+
+        return Player
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

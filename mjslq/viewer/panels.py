@@ -1,0 +1,213 @@
+"""What stands beside the robot in the viewer: a summary, and plots with a mark at the time shown."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mjslq._validation import Array
+from mjslq.result import Result
+from mjslq.trajectory import Trajectory
+from mjslq.viewer import series
+
+if TYPE_CHECKING:
+    import viser
+
+_POINTS = 800  # more than pixels, so that nothing shows of the thinning
+_HEIGHT = 190  # of a plot [px]
+_MARK = "#1f2933"
+_FONT = "font-size:12px;line-height:1.55"
+_GOOD, _FAIR = ("#1d7a4f", "#e3f4ea"), ("#94600b", "#fdf1dc")
+
+
+def figure(number: float) -> str:
+    """Return a number with four digits, as a reader of tables wants it."""
+    return f"{number:.4g}" if np.isfinite(number) else "not finite"
+
+
+def facts(result: Result) -> list[tuple[str, str]]:
+    """Return what a summary tells of a result: (label, value)."""
+    told = [
+        ("method", result.method or "not recorded"),
+        ("cost", figure(result.cost)),
+        ("iterations", str(result.iterations)),
+        ("gradient norm", figure(result.gradient_norm)),
+        ("solve time", f"{figure(result.seconds)} s"),
+        ("horizon", f"{result.trajectory.horizon} steps, {figure(float(result.trajectory.times[-1]))} s"),
+        ("size", f"{result.trajectory.X.shape[1]} states, {result.trajectory.U.shape[1]} controls"),
+    ]
+    if result.constraint_violation > 0.0:
+        told.insert(4, ("violation", figure(result.constraint_violation)))
+    return told
+
+
+def summary(result: Result) -> str:
+    """Return the summary as HTML."""
+    ink, paper = _GOOD if result.success else _FAIR
+    status = result.status.value.replace("_", " ")
+    rows = "".join(
+        f'<div style="opacity:.62">{label}</div><div style="text-align:right;font-variant-numeric:tabular-nums">'
+        f"{html.escape(value)}</div>"
+        for label, value in facts(result)
+    )
+    note = "" if result.success else f'<div style="margin-top:8px;opacity:.75">{html.escape(result.message)}</div>'
+    return (
+        f'<div style="{_FONT};padding:10px 12px 4px">'
+        '<div style="display:flex;justify-content:space-between;align-items:center;gap:8px;margin-bottom:6px">'
+        f'<span style="font-size:15px;font-weight:650">{html.escape(result.problem or "result")}</span>'
+        f'<span style="font-size:11px;font-weight:600;padding:1px 8px;border-radius:9px;white-space:nowrap;color:{ink};'
+        f'background:{paper}">{status}</span></div>'
+        f'<div style="display:grid;grid-template-columns:auto 1fr;gap:1px 10px">{rows}</div>{note}</div>'
+    )
+
+
+class SignalPlot:
+    """One plot of states, controls or outputs over time, with a choice of group and a legend of values."""
+
+    def __init__(self, gui: viser.GuiApi, title: str, groups: list[series.Group], changed: Callable[[], None]) -> None:
+        """Add the elements to the current container; `changed` is called when the reader chooses another group."""
+        self._gui = gui
+        self._groups = {group.title: group for group in groups}
+        self._group = groups[0]
+        self._trajectory: Trajectory | None = None
+        self._curves: tuple[Array, Array] = (np.zeros(2), np.zeros((2, 1)))
+        self._range = (-1.0, 1.0)
+        self._plot: viser.GuiUplotHandle | None = None
+        self._legend: viser.GuiHtmlHandle | None = None
+        self._changed = changed
+        self._holder = gui.add_folder(None)
+        with self._holder:
+            self._choice = gui.add_dropdown(title, tuple(self._groups), initial_value=self._group.title)
+        self._choice.on_update(lambda _: self._choose())
+
+    def set_trajectory(self, trajectory: Trajectory) -> None:
+        """Draw the curves of `trajectory`."""
+        self._trajectory = trajectory
+        self._curves = series.thinned(*series.curves(trajectory, self._group), _POINTS)
+        self._range = series.value_range(self._curves[1])
+        for element in (self._plot, self._legend):
+            if element is not None:
+                element.remove()
+        with self._holder:
+            self._plot = _uplot(
+                self._gui,
+                self._data(0.0),
+                self._group.labels,
+                (0.0, float(trajectory.times[-1])),
+                self._range,
+                x_label="time [s]",
+                y_label=self._group.unit and f"[{self._group.unit}]",
+            )
+            self._legend = self._gui.add_html(self._legend_html(0.0))
+
+    def mark(self, time: float) -> None:
+        """Move the mark to `time` [s]."""
+        if self._plot is not None and self._legend is not None:
+            self._plot.data = self._data(time)
+            self._legend.content = self._legend_html(time)
+
+    def _choose(self) -> None:
+        self._group = self._groups[self._choice.value]
+        self._changed()
+
+    def _data(self, time: float) -> tuple[Array, ...]:
+        return with_mark(*self._curves, time, self._range)
+
+    def _legend_html(self, time: float) -> str:
+        assert self._trajectory is not None
+        now = series.values_at(self._trajectory, self._group, time)
+        entries = "".join(
+            '<div style="display:flex;align-items:center;gap:5px;min-width:0">'
+            f'<span style="flex:none;width:9px;height:3px;border-radius:2px;background:{color}"></span>'
+            '<span style="overflow:hidden;text-overflow:ellipsis;white-space:nowrap;flex:1">'
+            f"{html.escape(label)}</span>"
+            f'<span style="opacity:.65;font-variant-numeric:tabular-nums">{value:.3g}</span></div>'
+            for label, value, color in zip(self._group.labels, now, series.COLORS, strict=False)
+        )
+        return (
+            f'<div style="{_FONT};font-size:11px;display:grid;grid-template-columns:repeat(2,minmax(0,1fr));'
+            f'gap:0 18px;padding:2px 14px 6px 12px">{entries}</div>'
+        )
+
+
+class CostPlot:
+    """Cost of each iteration, on a logarithmic axis when all are positive, with a mark at the one shown."""
+
+    def __init__(self, gui: viser.GuiApi, result: Result) -> None:
+        """Add the plot to the current container."""
+        iterations, costs = series.costs(result)
+        self._curves = (iterations, costs[:, None])
+        logarithmic = bool((costs > 0.0).all()) and costs.max() > 10.0 * costs.min()
+        if logarithmic:
+            decades = np.floor(np.log10(costs.min())), np.ceil(np.log10(costs.max()))  # ticks start at the limits
+            self._range = (float(10.0 ** decades[0]), float(10.0 ** decades[1]))
+        else:
+            self._range = series.value_range(costs)
+        last = max(float(iterations[-1]), 1.0)
+        self._plot = _uplot(
+            gui,
+            with_mark(*self._curves, float(iterations[-1]), self._range),
+            ("cost",),
+            (0.0, last),
+            self._range,
+            x_label="iteration",
+            y_label="cost",
+            logarithmic=logarithmic,
+            points=len(iterations) <= 40,
+        )
+
+    def mark(self, iteration: float) -> None:
+        """Move the mark to `iteration`."""
+        self._plot.data = with_mark(*self._curves, iteration, self._range)
+
+
+def with_mark(x: Array, values: Array, at: float, limits: tuple[float, float]) -> tuple[Array, ...]:
+    """Return x, every column of `values`, and a last curve that runs along the lower limit and rises at `at`.
+
+    The curves get three more points at `at`, interpolated, so that all share one x as the plot demands.
+    """
+    here = int(np.searchsorted(x, at))
+    columns = [np.insert(column, here, np.full(3, np.interp(at, x, column))) for column in values.T]
+    mark = np.full(len(x) + 3, limits[0])
+    mark[here + 1] = limits[1]
+    return (np.insert(x, here, np.full(3, at)), *columns, mark)
+
+
+def _uplot(
+    gui: viser.GuiApi,
+    data: tuple[Array, ...],
+    labels: tuple[str, ...],
+    x_range: tuple[float, float],
+    y_range: tuple[float, float],
+    *,
+    x_label: str,
+    y_label: str,
+    logarithmic: bool = False,
+    points: bool = False,
+) -> viser.GuiUplotHandle:
+    from viser import uplot
+
+    lines: list[Any] = [uplot.Series(label=x_label)]
+    for label, color in zip(labels, series.COLORS, strict=False):
+        dots = uplot.Series_Points(show=points, size=5, fill=color)
+        lines.append(uplot.Series(label=label, stroke=color, width=1.5, points=dots, scale="y"))
+    lines.append(uplot.Series(label="", stroke=_MARK, width=1, points=uplot.Series_Points(show=False), scale="y"))
+    y_scale = uplot.Scale(range=y_range, distr=3, log=10) if logarithmic else uplot.Scale(range=y_range)
+    axis: dict[str, Any] = {"labelSize": 18, "font": "11px system-ui", "labelFont": "11px system-ui", "labelGap": 0}
+    x_axis: Any = axis | {"label": x_label, "size": 26}
+    y_axis: Any = axis | {"scale": "y", "size": 48} | ({"label": y_label} if y_label else {})
+    if logarithmic:  # nine lines a decade hide the curve
+        y_axis |= {"grid": {"show": False}, "ticks": {"show": False}}
+    return gui.add_uplot(
+        data,
+        tuple(lines),
+        scales={"x": uplot.Scale(time=False, range=x_range), "y": y_scale},
+        axes=(x_axis, y_axis),
+        legend=uplot.Legend(show=False),
+        cursor=uplot.Cursor(show=True, points=uplot.Cursor_Points(show=False)),
+        height=_HEIGHT,
+        padding=(10, 14, 0, 0),
+    )
