@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -46,6 +46,8 @@ class Problem:
     """Options that `solve` takes for this problem unless told otherwise, such as its stopping tolerance."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
     """What the problem was made with, for the record."""
+    describe: Callable[[Trajectory], dict[str, str]] | None = None
+    """What a motion amounts to in the problem's own words, for summaries: name -> text."""
     drawn_by: Scene | None = None
     """What a viewer draws; the engine's own scene unless given."""
     _terms: tuple[BoundTerm, ...] = field(init=False, repr=False, default=())

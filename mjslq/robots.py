@@ -72,7 +72,7 @@ def robot_spec(
     floating
         Give the root link a free joint, named "root", instead of fixing it to the world.
     motors
-        Add a motor, limited by the joint's effort, to every joint with one axis.
+        Add a motor, limited by the joint's effort, to every joint with one axis that does not mimic another.
     floor
         Add a ground plane at height zero, and a light.
     armature

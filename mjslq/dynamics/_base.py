@@ -136,6 +136,10 @@ class Dynamics(ABC):
         """Compare `linearize` with a fourth-order difference of `rollout` at every step of `trajectory`."""
         return compare_jacobians(self.linearize(trajectory), fine_reference(self, trajectory))
 
+    def support_report(self) -> list[tuple[str, str]]:
+        """What the system consists of, as (part, what serves it)."""
+        return [(f"{self.nx} states, {self.nu} controls", type(self).__name__)]
+
     def steps(self, N: int) -> Array:
         """Step lengths for a horizon of N. Shape (N,). [s]  Raises ValueError when dt is of another length."""
         dt = np.asarray(self.dt, dtype=np.float64)
@@ -165,7 +169,7 @@ def compare_jacobians(given: Linearization, reference: Linearization) -> Derivat
     return DerivativeCheck(errors, worst)
 
 
-def fine_reference(dynamics: Dynamics, trajectory: Trajectory, eps: float = 1e-4) -> Linearization:
+def fine_reference(dynamics: Dynamics, trajectory: Trajectory, eps: float = 1e-5) -> Linearization:
     """Jacobians by five-point differences of single steps: slow, and independent of an engine's own; O(eps^4)."""
     N, nu, ny = trajectory.horizon, dynamics.nu, dynamics.ny
 

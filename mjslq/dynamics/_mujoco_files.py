@@ -10,7 +10,7 @@ MuJoCo compiles URDF, with gaps that are closed here before it sees the text:
     the base             is fixed to the world, as the format has it, or floats on a free joint;
     actuators            are added: URDF has none. Each joint with one axis gets a motor of its own name, gear 1,
                          whose control is the joint's torque [Nm] or force [N], with the joint's effort limit as
-                         control range.
+                         control range. Joints that mimic another one get none: MuJoCo ties them by an equality.
 """
 
 from __future__ import annotations
@@ -87,9 +87,9 @@ def urdf_spec(
     floating
         Give the root link a free joint, named "root", instead of fixing it to the world.
     motors
-        Add a motor to every hinge and slide joint.
+        Add a motor to every hinge and slide joint that does not mimic another one.
     floor
-        Add a ground plane at height zero, a light and a sky.
+        Add a ground plane at height zero, and a light.
     armature
         Rotor inertia added to every hinge and slide joint. [kg m^2 or kg]  Small robots need some for stable steps.
 
@@ -115,10 +115,11 @@ def urdf_spec(
     _set_massless(spec)
     if floating:
         _set_afloat(spec, file)
+    followers = {joint.get("name") for joint in root.findall("joint") if joint.find("mimic") is not None}
     for joint in spec.joints:
         if joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
             joint.armature = armature
-            if motors:
+            if motors and joint.name not in followers:
                 _add_motor(spec, joint)
     if floor:
         _add_floor(spec)

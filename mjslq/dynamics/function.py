@@ -167,6 +167,15 @@ class FunctionDynamics(Dynamics):
         """What was given as `scene`."""
         return self._scene
 
+    def support_report(self) -> list[tuple[str, str]]:
+        """See `Dynamics.support_report`."""
+        speed = "compiled: no Python call per step" if self.compiled else "plain Python: numba.njit makes it faster"
+        return [
+            (f"function of {self.nx} states and {self.nu} controls", speed),
+            (f"integrator {self.integrator}", "one step a call" if self.integrator == "map" else "control held over a step"),
+            ("Jacobians", self.jacobian),
+        ]  # fmt: skip
+
     @property
     def _code(self) -> int:
         return _INTEGRATORS[self.integrator]

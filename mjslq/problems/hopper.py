@@ -24,6 +24,7 @@ from mjslq.dynamics._base import Dynamics
 from mjslq.dynamics.function import FunctionDynamics
 from mjslq.problem import Problem
 from mjslq.scene import Scene
+from mjslq.trajectory import Trajectory
 
 PAPER_ITERATIONS = {1.0: 3, 50.0: 166}
 """Iterations that the paper reports, by height."""
@@ -73,6 +74,7 @@ def hopper(
         # Gauss-Newton ends slowly here (the piston's stroke is a large residual); four digits of the controls do.
         # Feedback keeps the instants of touch-down where they are while the controls change.
         options={"tol_direction": 1e-4, "step": "closed-loop"},
+        describe=lambda trajectory: describe(trajectory, height),
         drawn_by=scene,
         parameters={"height": height, "alpha": alpha, "stiffness": stiffness, "gravity": gravity, "engine": engine},
     )
@@ -102,6 +104,15 @@ def phases(X: np.ndarray) -> list[str]:
         if not sequence or sequence[-1] != phase:
             sequence.append(phase)
     return sequence
+
+
+def describe(trajectory: Trajectory, height: float) -> dict[str, str]:
+    """What the hop amounts to."""
+    y, speed = trajectory.X[-1, 0], trajectory.X[-1, 2]
+    return {
+        "height": f"{y:.3f} in of {height:g} in ({100.0 * (y / height - 1.0):+.2f} %), speed {speed:+.2f} in/s",
+        "phases": ", ".join(phases(trajectory.X)),
+    }
 
 
 def _scene() -> Scene | None:

@@ -28,6 +28,10 @@ def figure(number: float) -> str:
     return f"{number:.4g}" if np.isfinite(number) else "not finite"
 
 
+def _counted(array: Array, what: str) -> str:
+    return f"{array.shape[1]} {what}" + ("" if array.shape[1] == 1 else "s")
+
+
 def facts(result: Result) -> list[tuple[str, str]]:
     """Return what a summary tells of a result: (label, value)."""
     told = [
@@ -37,7 +41,7 @@ def facts(result: Result) -> list[tuple[str, str]]:
         ("gradient norm", figure(result.gradient_norm)),
         ("solve time", f"{figure(result.seconds)} s"),
         ("horizon", f"{result.trajectory.horizon} steps, {figure(float(result.trajectory.times[-1]))} s"),
-        ("size", f"{result.trajectory.X.shape[1]} states, {result.trajectory.U.shape[1]} controls"),
+        ("size", f"{_counted(result.trajectory.X, 'state')}, {_counted(result.trajectory.U, 'control')}"),
     ]
     if result.constraint_violation > 0.0:
         told.insert(4, ("violation", figure(result.constraint_violation)))
@@ -170,7 +174,8 @@ def with_mark(x: Array, values: Array, at: float, limits: tuple[float, float]) -
     The curves get three more points at `at`, interpolated, so that all share one x as the plot demands.
     """
     here = int(np.searchsorted(x, at))
-    columns = [np.insert(column, here, np.full(3, np.interp(at, x, column))) for column in values.T]
+    now = [np.interp(at, x, column) if len(x) else np.nan for column in values.T]
+    columns = [np.insert(column, here, np.full(3, value)) for column, value in zip(values.T, now, strict=True)]
     mark = np.full(len(x) + 3, limits[0])
     mark[here + 1] = limits[1]
     return (np.insert(x, here, np.full(3, at)), *columns, mark)

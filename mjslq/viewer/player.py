@@ -213,7 +213,9 @@ class Player:
 
     def _build(self, server: viser.ViserServer) -> None:
         result, gui = self._result, server.gui
-        server.gui.configure_theme(control_layout="fixed", show_logo=False, show_share_button=False)
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(_CONTROLS_WIDTH)
         gui.set_panel_label("mjslq")
         if result.scene is not None:
             self._view = SceneView(server, result.scene, self._trajectory, _ASPECT)
@@ -239,8 +241,7 @@ class Player:
     def _add_plots(self, gui: viser.GuiApi) -> None:
         panel = gui.add_panel()
         panel.dock_left()
-        panel.set_width(_PLOTS_WIDTH if self._view is not None else 10.0 * _PLOTS_WIDTH)
-        gui.main_panel.set_width(_CONTROLS_WIDTH)
+        panel.set_width(_PLOTS_WIDTH if self._view is not None else 2.1 * _PLOTS_WIDTH)
         with panel.add_tab("Plots"):
             for title, kind in (("States", "states"), ("Controls", "controls"), ("Outputs", "outputs")):
                 found = series.groups(self._result, kind, self._model)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import inspect
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,6 +59,7 @@ def solve(
     callback: Callable[[IterationLog], object] | None = None,
     check_derivatives: bool = False,
     keep_iterates: bool = True,
+    stream: TextIO | None = None,
     **options: Any,
 ) -> Result:
     """Minimize the cost of `problem` over its controls.
@@ -83,6 +85,8 @@ def solve(
         Compare the engine's Jacobians with a fine reference along the start, and refuse to go on with wrong ones.
     keep_iterates : bool
         Keep the trajectory of every iterate in the result.
+    stream : file
+        Where `verbose` prints; standard output unless given.
     **options
         The method's own; see `methods()`.
 
@@ -102,8 +106,8 @@ def solve(
     stopping = _stopping(settings)
     own = {name: settings.pop(name) for name in list(settings) if name in chosen.options}
     for name in settings:
-        choose(f"option for method {method!r}", name, [*chosen.options, *_COMMON])
-    monitor = Monitor(verbose, callback, keep_iterates)
+        choose(f"option for method {method!r}", name, option_names(method))
+    monitor = Monitor(verbose, callback, keep_iterates, sys.stdout if stream is None else stream)
     start = Iterate(problem, problem.rollout(problem.U0 if U0 is None else U0))  # type: ignore[arg-type]
     if check_derivatives:
         _refuse_wrong_derivatives(start)
@@ -112,6 +116,11 @@ def solve(
     if verbose:
         print(f"{result.status.value}: {result.message}", file=monitor.stream)
     return result
+
+
+def option_names(method: str) -> list[str]:
+    """Names of all options that `solve` takes for a method."""
+    return [*METHODS[choose("method", method, METHODS)].options, *_COMMON]
 
 
 _COMMON = ("tol", "tol_direction", "tol_gradient", "max_iterations")

@@ -1,0 +1,75 @@
+"""mjslq: trajectory optimization for MuJoCo models.
+
+State a cost over the motions of a robot, get an optimal trajectory with feedback gains, look at it in the browser:
+
+    import mjslq
+    result = mjslq.solve(mjslq.problems.get("hopper", height=30.0), verbose=1)
+    mjslq.view(result)
+
+Names are imported when first used, so that what needs neither MuJoCo nor a browser does not wait for them.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mjslq import costs as costs
+    from mjslq import problems as problems
+    from mjslq.dynamics._base import DerivativeCheck as DerivativeCheck
+    from mjslq.dynamics._base import Dynamics as Dynamics
+    from mjslq.dynamics._base import Linearization as Linearization
+    from mjslq.dynamics.function import FunctionDynamics as FunctionDynamics
+    from mjslq.dynamics.mujoco import MujocoDynamics as MujocoDynamics
+    from mjslq.problem import Problem as Problem
+    from mjslq.result import IterationLog as IterationLog
+    from mjslq.result import Result as Result
+    from mjslq.result import load as load
+    from mjslq.robots import robot_path as robot_path
+    from mjslq.scene import Scene as Scene
+    from mjslq._solve import methods as methods
+    from mjslq._solve import solve as solve
+    from mjslq.solvers._status import Status as Status
+    from mjslq.trajectory import Trajectory as Trajectory
+    from mjslq.viewer import export_html as export_html
+    from mjslq.viewer import view as view
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "costs": "mjslq.costs",
+    "problems": "mjslq.problems",
+    "DerivativeCheck": "mjslq.dynamics._base",
+    "Dynamics": "mjslq.dynamics._base",
+    "FunctionDynamics": "mjslq.dynamics.function",
+    "IterationLog": "mjslq.result",
+    "Linearization": "mjslq.dynamics._base",
+    "MujocoDynamics": "mjslq.dynamics.mujoco",
+    "Problem": "mjslq.problem",
+    "Result": "mjslq.result",
+    "Scene": "mjslq.scene",
+    "Status": "mjslq.solvers._status",
+    "Trajectory": "mjslq.trajectory",
+    "export_html": "mjslq.viewer",
+    "load": "mjslq.result",
+    "methods": "mjslq._solve",
+    "robot_path": "mjslq.robots",
+    "solve": "mjslq._solve",
+    "view": "mjslq.viewer",
+}
+
+__all__ = ["__version__", *_HOME]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'mjslq' has no attribute {name!r}; there are: {', '.join(sorted(_HOME))}")
+    module = importlib.import_module(_HOME[name])
+    value = module if module.__name__ == f"mjslq.{name}" and name in ("costs", "problems") else getattr(module, name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

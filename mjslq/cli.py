@@ -1,0 +1,261 @@
+"""The command line: `mjslq list | solve | view | export | check`.
+
+Exit status: 0 converged (or the command did what it was asked), 1 not converged, 2 wrong input, 3 diverged,
+130 interrupted. What a command says about its progress goes to standard error; standard output holds the result,
+so that `--json` can be piped.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from mjslq.dynamics._base import Dynamics
+    from mjslq.problem import Problem
+    from mjslq.result import Result
+
+app = typer.Typer(
+    help="Trajectory optimization for MuJoCo models.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Exit status: 0 converged, 1 not converged, 2 wrong input, 3 diverged, 130 interrupted.",
+)
+
+_EXIT = {"converged": 0, "diverged": 3, "interrupted": 130}
+WRONG_INPUT = 2
+
+Port = Annotated[int, typer.Option(help="Port of the viewer; the next free one is taken if it is busy.")]
+Host = Annotated[str, typer.Option(help="Address that the viewer listens on.")]
+
+
+def main() -> None:
+    """Run the command line; every wrong input ends in one sentence and status 2."""
+    try:
+        app()
+    except (ValueError, FileNotFoundError) as error:
+        print(f"mjslq: {error}", file=sys.stderr)
+        sys.exit(WRONG_INPUT)
+    except KeyboardInterrupt:
+        print("mjslq: interrupted", file=sys.stderr)
+        sys.exit(_EXIT["interrupted"])
+    except BrokenPipeError:  # the reader of a pipe has gone; that is its right
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@app.command("list")
+def list_problems() -> None:
+    """Show the problems that come with mjslq, and what can be set in each."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from mjslq import problems
+
+    table = Table("problem", "what it is", "--set", box=None, pad_edge=False, header_style="bold")
+    for name in problems.names():
+        defaults = " ".join(f"{key}={value}" for key, value in problems.parameters(name).items())
+        table.add_row(name, problems.summary(name), defaults)
+    Console().print(table)
+
+
+@app.command()
+def solve(
+    problem: Annotated[str, typer.Argument(help="A problem of `mjslq list`.")],
+    method: Annotated[str, typer.Option("--method", "-m", help="How to solve it.")] = "slq",
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", "-s", metavar="NAME=VALUE", help="Set a parameter of the problem, or of the method."),
+    ] = None,
+    save: Annotated[Path | None, typer.Option(help="Write the result to this .npz file.")] = None,
+    view: Annotated[bool, typer.Option("--view", help="Show the result in a browser.")] = False,
+    host: Host = "127.0.0.1",
+    port: Port = 8080,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+) -> None:
+    """Solve a problem: a line an iteration while it works, a summary after."""
+    if save is not None and not save.absolute().parent.is_dir():
+        raise ValueError(f"cannot write {save}: there is no folder {save.parent}")
+    _announce(quiet)
+    from mjslq import problems
+    from mjslq._solve import METHODS
+    from mjslq._solve import solve as run
+    from mjslq._validation import choose
+
+    choose("problem", problem, problems.names())
+    choose("method", method, METHODS)
+    parameters, options = _sort_settings(settings or [], problem, method)
+    stated = problems.get(problem, **parameters)
+    result = run(stated, method, verbose=0 if quiet else 1, stream=sys.stderr, **options)
+    if as_json:
+        print(json.dumps(_as_json(result)))
+    elif not quiet:
+        _print_summary(result, stated)
+    if save is not None:
+        result.save(save)
+        if not quiet:
+            print(f"saved to {save}", file=sys.stderr)
+    if view:
+        from mjslq.viewer import view as show
+
+        show(result, host, port)
+    raise typer.Exit(_EXIT.get(result.status.value, 1))
+
+
+@app.command()
+def view(
+    file: Annotated[Path, typer.Argument(help="A result that `solve --save` wrote.")],
+    host: Host = "127.0.0.1",
+    port: Port = 8080,
+) -> None:
+    """Show a saved result in a browser."""
+    from mjslq.result import load
+    from mjslq.viewer import view as show
+
+    show(load(file), host, port)
+
+
+@app.command()
+def export(
+    file: Annotated[Path, typer.Argument(help="A result that `solve --save` wrote.")],
+    page: Annotated[Path, typer.Argument(help="The HTML file to write.")],
+) -> None:
+    """Write a saved result as one HTML file that plays in any browser, without a network."""
+    from mjslq.result import load
+    from mjslq.viewer import export_html
+
+    export_html(load(file), page)
+    print(f"{page}: {page.stat().st_size / 1e6:.1f} MB", file=sys.stderr)
+
+
+@app.command()
+def check(
+    what: Annotated[str, typer.Argument(help="A model (.xml, .urdf, .mjb) or a problem of `mjslq list`.")],
+    steps: Annotated[int, typer.Option(help="Length of the motion along which derivatives are checked.")] = 20,
+    seed: Annotated[int, typer.Option(help="Of the random controls that make the motion.")] = 0,
+) -> None:
+    """Say what serves a model, and compare its derivatives with a fine reference along a random motion."""
+    _announce(quiet=False)
+    from rich.console import Console
+    from rich.table import Table
+
+    from mjslq._validation import count
+
+    dynamics, x0 = _dynamics_of(what)
+    console = Console()
+    parts = Table("part", "served by", box=None, pad_edge=False, header_style="bold")
+    for part, served in dynamics.support_report():
+        parts.add_row(part, served)
+    console.print(parts)
+    trajectory = _random_motion(dynamics, x0, count("steps", steps), seed)
+    found = dynamics.check_derivatives(trajectory)
+    errors = Table("Jacobian", "largest error, relative", "at step, row, column", box=None, pad_edge=False, header_style="bold")
+    for name, error in found.errors.items():
+        errors.add_row(name, f"{error:.1e}", str(found.worst[name]))
+    console.print()
+    console.print(errors)
+    raise typer.Exit(0 if found.worst_error < 1e-3 else 1)
+
+
+def _announce(quiet: bool) -> None:
+    if not quiet:
+        from mjslq._compiling import announce_compilation
+
+        announce_compilation(lambda message: print(message, file=sys.stderr, flush=True))
+
+
+def _sort_settings(settings: list[str], problem: str, method: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Split NAME=VALUE settings into parameters of the problem and options of the method."""
+    from mjslq import problems
+    from mjslq._solve import option_names
+    from mjslq._validation import choose
+
+    parameters, options = {}, {}
+    known, own = problems.parameters(problem), option_names(method)
+    for setting in settings:
+        name, equals, text = setting.partition("=")
+        if not equals:
+            raise ValueError(f"--set takes NAME=VALUE, such as {next(iter(known))}={next(iter(known.values()))}, got {setting!r}")
+        if choose(f"setting of {problem} or {method}", name, [*known, *own]) in known:
+            parameters[name] = _value(text)
+        else:
+            options[name] = _value(text)
+    return parameters, options
+
+
+def _value(text: str) -> Any:
+    """A number, a truth value or a list as Python writes it; anything else is a text."""
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
+
+
+def _print_summary(result: Result, problem: Problem) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="dim")
+    table.add_column()
+    color = "green" if result.success else "yellow"
+    table.add_row(result.problem, Text(result.status.value, style=f"bold {color}"))
+    if not result.success:
+        table.add_row("", result.message)
+    table.add_row("cost", f"{result.cost:.10g}")
+    table.add_row("iterations", f"{result.iterations} in {result.seconds:.2f} s")
+    table.add_row("|gradient|", f"{result.gradient_norm:.2e}")
+    if problem.describe is not None and not result.trajectory.diverged:
+        for name, text in problem.describe(result.trajectory).items():
+            table.add_row(name, text)
+    Console(highlight=False).print(table)
+
+
+def _as_json(result: Result) -> dict[str, Any]:
+    """The numbers of a result; arrays belong into the saved file."""
+    names = ("problem", "method", "success", "message", "cost", "iterations", "gradient_norm", "constraint_violation", "seconds", "options")
+    final = result.trajectory.X[-1].tolist()
+    return {"status": result.status.value} | {name: getattr(result, name) for name in names} | {"final_state": final}
+
+
+def _dynamics_of(what: str) -> tuple[Dynamics, Any]:
+    """The engine, and a state to start from, of a model file or a problem's name."""
+    from mjslq import problems
+
+    if what in problems.names():
+        problem = problems.get(what)
+        return problem.dynamics, problem.x0
+    if Path(what).suffix.lower() in (".xml", ".urdf", ".mjb") or os.sep in what:
+        from mjslq.dynamics.mujoco import MujocoDynamics
+
+        dynamics = MujocoDynamics.from_path(what)
+        return dynamics, dynamics.initial_state
+    raise ValueError(f"{what!r} is neither a model file (.xml, .urdf, .mjb) nor a problem; problems: {', '.join(problems.names())}")
+
+
+def _random_motion(dynamics: Dynamics, x0: Any, steps: int, seed: int) -> Any:
+    """A motion under small random controls; halved until it does not blow up."""
+    import numpy as np
+
+    U = np.random.default_rng(seed).normal(size=(steps, dynamics.nu))
+    for _ in range(20):
+        trajectory = dynamics.rollout(x0, U)
+        if not trajectory.diverged:
+            return trajectory
+        U *= 0.5
+    raise ValueError("the model blows up whatever the controls; shorten its timestep")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,117 @@
+"""Groups of curves, their units, and what happens to them on the way to a plot."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+
+from mjslq.result import Result
+from mjslq.scene import Scene
+from mjslq.trajectory import Trajectory
+from mjslq.viewer import geometry, panels, series
+from mjslq.viewer.playback import Playback
+
+
+def test_groups_carry_names_and_units(arm: Result) -> None:
+    assert arm.scene is not None
+    model = geometry.load_model(arm.scene.model)
+    states = series.groups(arm, "states", model)
+    assert [group.title for group in states] == ["positions [rad]", "velocities [rad/s]"]
+    assert states[1].labels == ("shoulder rate", "elbow rate") and states[1].columns == (2, 3)
+    assert [group.title for group in series.groups(arm, "controls", model)] == ["torques [Nm]"]
+    assert series.groups(arm, "outputs", model) == []
+
+
+def test_groups_without_a_model_have_no_units(function: Result) -> None:
+    (group,) = series.groups(function, "states")
+    assert group.title == "states" and group.labels == ("x[0]", "x[1]", "x[2]", "x[3]") and group.unit == ""
+
+
+def test_a_large_robot_is_split_so_that_it_can_be_read(function: Result) -> None:
+    big = dataclasses.replace(function, trajectory=Trajectory(np.zeros((4, 70)), np.zeros((3, 20))))
+    groups = series.groups(big, "states")
+    assert [len(group.columns) for group in groups] == [8] * 8 + [6]
+    assert groups[-1].title == "states, 65 to 70 of 70"
+
+
+def test_free_joint_tells_metres_from_quaternions(function: Result) -> None:
+    xml = '<mujoco><worldbody><body><freejoint/><geom size=".1"/></body></worldbody></mujoco>'
+    model = mujoco.MjModel.from_xml_string(xml)
+    flying = dataclasses.replace(
+        function, trajectory=Trajectory(np.zeros((4, 13)), np.zeros((3, 1))), scene=Scene(b"", tuple(range(7)))
+    )
+    found = {group.title: len(group.columns) for group in series.groups(flying, "states", model)}
+    assert found == {"positions [m]": 3, "quaternions": 4, "velocities [m/s]": 3, "velocities [rad/s]": 3}
+
+
+def test_controls_are_held_over_their_step(function: Result) -> None:
+    (group,) = series.groups(function, "controls")
+    times, values = series.curves(function.trajectory, group)
+    np.testing.assert_allclose(times[:4], [0.0, 0.04, 0.04, 0.08])
+    np.testing.assert_array_equal(values[0], values[1])
+    np.testing.assert_array_equal(series.values_at(function.trajectory, group, 0.05), function.trajectory.U[1])
+
+
+def test_diverged_curves_end_where_they_are_finite(function: Result) -> None:
+    X = function.trajectory.X.copy()
+    X[10:] = np.nan
+    lost = Trajectory(X, function.trajectory.U, None, 0.04, diverged_at=10)
+    for kind, length in (("states", 10), ("controls", 18)):
+        (group,) = series.groups(function, kind)
+        times, values = series.curves(lost, group)
+        assert len(times) == length and np.isfinite(values).all()
+
+
+def test_thinning_keeps_peaks() -> None:
+    values = np.zeros((5000, 2))
+    values[1234, 0], values[4321, 1] = 7.0, -3.0
+    times, kept = series.thinned(np.arange(5000.0), values, 300)
+    assert len(times) <= 320 and kept.max() == 7.0 and kept.min() == -3.0 and (np.diff(times) > 0).all()
+
+
+@pytest.mark.parametrize("values", [np.array([2.0, 2.0]), np.zeros(3), np.array([np.nan]), np.array([-1.0, 5.0])])
+def test_axis_limits_are_never_empty(values: np.ndarray) -> None:
+    low, high = series.value_range(values)
+    assert low < high and np.isfinite([low, high]).all()
+
+
+@pytest.mark.parametrize("at", [0.0, 0.5, 1.0, 1.7, 2.0])
+def test_mark_rises_at_its_place_and_leaves_the_curves_alone(at: float) -> None:
+    x, y = np.array([0.0, 1.0, 2.0]), np.array([[0.0], [3.0], [4.0]])
+    times, curve, mark = panels.with_mark(x, y, at, (-1.0, 5.0))
+    assert (np.diff(times) >= 0).all() and times[np.argmax(mark)] == at
+    assert mark.max() == 5.0 and np.count_nonzero(mark > -1.0) == 1
+    np.testing.assert_allclose(curve, np.interp(times, x, y[:, 0]))
+
+
+def test_playback_runs_rests_and_starts_over() -> None:
+    clock = Playback(1.0, playing=True, speed=2.0, rest=0.5)
+    assert clock.advance(0.25) and clock.time == 0.5
+    assert clock.advance(9.0) and clock.time == 1.0
+    assert not clock.advance(0.3) and clock.time == 1.0
+    assert clock.advance(0.3) and clock.time == 0.0 and clock.playing
+
+
+def test_playback_without_loop_stops_at_the_end_and_plays_again() -> None:
+    clock = Playback(1.0, playing=True, loop=False)
+    clock.advance(2.0)
+    clock.advance(0.1)
+    assert clock.time == 1.0 and not clock.playing
+    clock.toggle()
+    assert clock.time == 0.0 and clock.playing
+
+
+def test_seeking_pauses_and_stays_inside() -> None:
+    clock = Playback(1.0, playing=True)
+    clock.seek(7.0)
+    assert clock.time == 1.0 and not clock.playing and not clock.advance(1.0)
+    clock.seek(-1.0)
+    assert clock.time == 0.0
+
+
+def test_summary_escapes_what_it_is_told(function: Result) -> None:
+    text = panels.summary(function)
+    assert "a &lt;b&gt; &amp; c" in text and "max iterations" in text and function.message[:20] in text
