@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mjslq import costs as costs
     from mjslq import problems as problems
+    from mjslq._solve import methods as methods
+    from mjslq._solve import solve as solve
     from mjslq.dynamics._base import DerivativeCheck as DerivativeCheck
     from mjslq.dynamics._base import Dynamics as Dynamics
     from mjslq.dynamics._base import Linearization as Linearization
@@ -28,8 +30,6 @@ if TYPE_CHECKING:
     from mjslq.result import load as load
     from mjslq.robots import robot_path as robot_path
     from mjslq.scene import Scene as Scene
-    from mjslq._solve import methods as methods
-    from mjslq._solve import solve as solve
     from mjslq.solvers._status import Status as Status
     from mjslq.trajectory import Trajectory as Trajectory
     from mjslq.viewer import export_html as export_html

@@ -119,7 +119,7 @@ def _fits(given: tuple[int, ...], expected: Sequence[int | str]) -> bool:
     )
 
 
-def _refuse_first(name: str, constant: bool, wrong: Array, kind: str, measure: Array, what: str) -> None:
+def _refuse_first(name: str, constant: bool, wrong: NDArray[np.bool_], kind: str, measure: Array, what: str) -> None:
     if wrong.any():
         step = int(np.argmax(wrong))
         place = name if constant else f"{name}[{step}]"

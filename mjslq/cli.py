@@ -157,7 +157,9 @@ def check(
     console.print(parts)
     trajectory = _random_motion(dynamics, x0, count("steps", steps), seed)
     found = dynamics.check_derivatives(trajectory)
-    errors = Table("Jacobian", "largest error, relative", "at step, row, column", box=None, pad_edge=False, header_style="bold")
+    errors = Table(
+        "Jacobian", "largest error, relative", "at step, row, column", box=None, pad_edge=False, header_style="bold"
+    )
     for name, error in found.errors.items():
         errors.add_row(name, f"{error:.1e}", str(found.worst[name]))
     console.print()
@@ -183,7 +185,9 @@ def _sort_settings(settings: list[str], problem: str, method: str) -> tuple[dict
     for setting in settings:
         name, equals, text = setting.partition("=")
         if not equals:
-            raise ValueError(f"--set takes NAME=VALUE, such as {next(iter(known))}={next(iter(known.values()))}, got {setting!r}")
+            raise ValueError(
+                f"--set takes NAME=VALUE, such as {next(iter(known))}={next(iter(known.values()))}, got {setting!r}"
+            )
         if choose(f"setting of {problem} or {method}", name, [*known, *own]) in known:
             parameters[name] = _value(text)
         else:
@@ -224,7 +228,18 @@ def _print_summary(result: Result, problem: Problem) -> None:
 
 def _as_json(result: Result) -> dict[str, Any]:
     """The numbers of a result; arrays belong into the saved file."""
-    names = ("problem", "method", "success", "message", "cost", "iterations", "gradient_norm", "constraint_violation", "seconds", "options")
+    names = (
+        "problem",
+        "method",
+        "success",
+        "message",
+        "cost",
+        "iterations",
+        "gradient_norm",
+        "constraint_violation",
+        "seconds",
+        "options",
+    )
     final = result.trajectory.X[-1].tolist()
     return {"status": result.status.value} | {name: getattr(result, name) for name in names} | {"final_state": final}
 
@@ -241,7 +256,9 @@ def _dynamics_of(what: str) -> tuple[Dynamics, Any]:
 
         dynamics = MujocoDynamics.from_path(what)
         return dynamics, dynamics.initial_state
-    raise ValueError(f"{what!r} is neither a model file (.xml, .urdf, .mjb) nor a problem; problems: {', '.join(problems.names())}")
+    raise ValueError(
+        f"{what!r} is neither a model file (.xml, .urdf, .mjb) nor a problem; problems: {', '.join(problems.names())}"
+    )
 
 
 def _random_motion(dynamics: Dynamics, x0: Any, steps: int, seed: int) -> Any:

@@ -19,6 +19,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -121,7 +122,9 @@ class State(CostTerm):
         """See `CostTerm.bind`."""
         weight = per_step_matrices("weight", self.weight, 1, dynamics.ndx, definite=False)
         scales = _scales(self.when, dynamics, N)
-        return (_StateTerm(dynamics, scales[:, None, None] * weight, _state_targets("target", self.target, dynamics, N)),)
+        return (
+            _StateTerm(dynamics, scales[:, None, None] * weight, _state_targets("target", self.target, dynamics, N)),
+        )
 
 
 @dataclass(frozen=True)
@@ -241,7 +244,7 @@ class _PointwiseTerm(BoundTerm):
         """(n, s_n, (x_n, u_n) as one vector, t_n) of the knots where the term acts."""
         U = np.vstack([trajectory.U, np.zeros(trajectory.U.shape[1])])
         Z, times = np.hstack([trajectory.X, U]), trajectory.times
-        return [(n, self._scales[n], Z[n], times[n]) for n in np.flatnonzero(self._scales)]
+        return [(int(n), float(self._scales[n]), Z[n], float(times[n])) for n in np.flatnonzero(self._scales)]
 
     def _add(self, n: int, x: Array, gradient: Array, hessian: Array, into: Expansion) -> None:
         """Add a gradient and a Hessian by (x, u) entries, turned into tangent directions."""
@@ -272,7 +275,7 @@ class _ResidualTerm(_PointwiseTerm):
     def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
         for n, scale, z, t in self._knots(trajectory):
             if self._jacobian is None:
-                J = _complex_step(lambda w, t=t: self._value(w, t), z)
+                J = _complex_step(partial(self._value, t=t), z)
             else:
                 J = np.hstack(self._jacobian(z[: self._nx], z[self._nx :], t))
             WJ = scale * self._W @ J

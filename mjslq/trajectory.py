@@ -32,7 +32,7 @@ class Trajectory:
     """States. Shape (N + 1, nx)."""
     U: Array
     """Controls. Shape (N, nu)."""
-    Y: Array = field(default=None)  # type: ignore[assignment]  # filled in __post_init__
+    Y: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """Outputs. Shape (N + 1, ny); ny = 0 when the engine has none."""
     dt: ArrayLike = 1.0
     """Step lengths: a number, or one per step; kept as an array. Shape (N,). [s]"""
@@ -43,8 +43,7 @@ class Trajectory:
         good = None if self.diverged_at is None else int(self.diverged_at)
         X = as_array("X", self.X, ("N + 1", "nx"), finite=False)
         U = as_array("U", self.U, (len(X) - 1, "nu"), finite=False)
-        Y = np.zeros((len(X), 0)) if self.Y is None else self.Y
-        Y = as_array("Y", Y, (len(X), "ny"), finite=False)
+        Y = np.zeros((len(X), 0)) if np.size(self.Y) == 0 else as_array("Y", self.Y, (len(X), "ny"), finite=False)
         as_array("X", X[:good])
         as_array("U", U)
         as_array("Y", Y[:good])

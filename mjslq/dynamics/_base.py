@@ -19,6 +19,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -172,20 +173,26 @@ def compare_jacobians(given: Linearization, reference: Linearization) -> Derivat
 def fine_reference(dynamics: Dynamics, trajectory: Trajectory, eps: float = 1e-5) -> Linearization:
     """Jacobians by five-point differences of single steps: slow, and independent of an engine's own; O(eps^4)."""
     N, nu, ny = trajectory.horizon, dynamics.nu, dynamics.ny
-
-    def by_state(n: int, x: Array, u: Array) -> list[Array]:
-        return [dynamics.difference(trajectory.X[min(n + 1, N)], part) if i == 0 else part
-                for i, part in enumerate(dynamics.step(x, u, min(n, N - 1)))]  # fmt: skip
-
     A, B = np.empty((N, dynamics.ndx, dynamics.ndx)), np.empty((N, dynamics.ndx, nu))
     C, D = np.zeros((N + 1, ny, dynamics.ndx)), np.zeros((N + 1, ny, nu))
-    U = np.vstack([trajectory.U, np.zeros(nu)])  # outputs at the last knot are read with zero control
-    for n, (x, u) in enumerate(zip(trajectory.X, U, strict=True)):
-        along_x = _five_point(lambda d, n=n, x=x, u=u: by_state(n, dynamics.integrate(x, d), u), dynamics.ndx, eps)
-        C[n] = along_x[1]
+    X, U = trajectory.X, np.vstack([trajectory.U, np.zeros(nu)])  # outputs at the last knot are read with zero control
+
+    def step(n: int, x: Array, u: Array) -> list[Array]:
+        forward, output = dynamics.step(x, u, min(n, N - 1))
+        return [dynamics.difference(X[min(n + 1, N)], forward), output]
+
+    def vary_state(n: int, d: Array) -> list[Array]:
+        return step(n, dynamics.integrate(X[n], d), U[n])
+
+    def vary_control(n: int, d: Array) -> list[Array]:
+        return step(n, X[n], U[n] + d)
+
+    for n in range(N + 1):
+        by_x = _five_point(partial(vary_state, n), dynamics.ndx, eps)
+        C[n] = by_x[1]
         if n < N:
-            A[n] = along_x[0]
-            B[n], D[n] = _five_point(lambda d, n=n, x=x, u=u: by_state(n, x, u + d), nu, eps)
+            A[n] = by_x[0]
+            B[n], D[n] = _five_point(partial(vary_control, n), nu, eps)
     return Linearization(A, B, C, D)
 
 
@@ -196,9 +203,7 @@ def _five_point(function: Callable[[Array], list[Array]], size: int, eps: float)
         d = np.zeros(size)
         d[i] = eps
         near, far = zip(function(d), function(-d), strict=True), zip(function(2 * d), function(-2 * d), strict=True)
-        columns.append(
-            [(8.0 * (p - m) - (pp - mm)) / (12.0 * eps) for (p, m), (pp, mm) in zip(near, far, strict=True)]
-        )
+        columns.append([(8.0 * (p - m) - (pp - mm)) / (12.0 * eps) for (p, m), (pp, mm) in zip(near, far, strict=True)])
     if not columns:
         return [part[:, None][:, :0] for part in function(np.zeros(0))]
     return [np.stack(parts, axis=-1) for parts in zip(*columns, strict=True)]

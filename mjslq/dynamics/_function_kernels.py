@@ -123,7 +123,9 @@ _read_vector = types.Array(types.float64, 1, "C", readonly=True)
 _read_matrix = types.Array(types.float64, 2, "C", readonly=True)
 REAL = types.FunctionType(_vector(_vector, _vector, types.float64, _vector))
 """Type of a compiled f for real arguments."""
-COMPLEX = types.FunctionType(types.complex128[::1](types.complex128[::1], types.complex128[::1], types.float64, _vector))
+COMPLEX = types.FunctionType(
+    types.complex128[::1](types.complex128[::1], types.complex128[::1], types.float64, _vector)
+)
 """Type of a compiled f for complex arguments."""
 _common = (types.int64, types.int64, _vector, _vector, _vector)
 

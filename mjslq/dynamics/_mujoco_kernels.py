@@ -18,7 +18,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import llvmlite.binding  # type: ignore[import-untyped]
+import llvmlite.binding
 import mujoco
 import numba
 import numpy as np

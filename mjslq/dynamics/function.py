@@ -96,7 +96,7 @@ class FunctionDynamics(Dynamics):
         self.nu = count("nu", nu)
         steps = as_array("dt", dt)
         if steps.ndim > 1 or (steps <= 0.0).any():
-            raise ValueError(f"dt must be a positive number, or one per step, got shape {steps.shape}: {dt}")
+            raise ValueError(f"dt must be a positive number, or one per step, got shape {steps.shape}: {dt!r}")
         self.dt = steps if steps.ndim else float(steps)
         self.integrator = choose("integrator", integrator, _INTEGRATORS)
         self.parameters = as_array("parameters", parameters, ("size",))
@@ -124,7 +124,7 @@ class FunctionDynamics(Dynamics):
         times, steps = self._grid(n + 1)
         function = self._f.py_func if isinstance(self._f, Dispatcher) else self._f
         forward = kernels.advance(function, self._code, self._nv, x, u, times[n], steps[n], self.parameters)
-        return np.asarray(forward), self._read(x, u, times[n])
+        return np.asarray(forward, dtype=np.float64), self._read(x, u, float(times[n]))
 
     def rollout(self, x0: ArrayLike, U: ArrayLike) -> Trajectory:
         """Simulate from `x0` (nx,) under `U` (N, nu)."""
@@ -170,11 +170,9 @@ class FunctionDynamics(Dynamics):
     def support_report(self) -> list[tuple[str, str]]:
         """See `Dynamics.support_report`."""
         speed = "compiled: no Python call per step" if self.compiled else "plain Python: numba.njit makes it faster"
-        return [
-            (f"function of {self.nx} states and {self.nu} controls", speed),
-            (f"integrator {self.integrator}", "one step a call" if self.integrator == "map" else "control held over a step"),
-            ("Jacobians", self.jacobian),
-        ]  # fmt: skip
+        step = "one step a call" if self.integrator == "map" else "control held over a step"
+        parts = [(f"function of {self.nx} states and {self.nu} controls", speed)]
+        return [*parts, (f"integrator {self.integrator}", step), ("Jacobians", self.jacobian)]
 
     @property
     def _code(self) -> int:
@@ -206,7 +204,8 @@ class FunctionDynamics(Dynamics):
     def _read(self, x: Array, u: Array, t: float) -> Array:
         if self._outputs is None:
             return np.zeros(0)
-        return np.atleast_1d(np.asarray(self._outputs(x, u, t)))
+        y: Array = np.atleast_1d(self._outputs(x, u, t))
+        return y
 
     def _linearize_outputs(self, X: Array, U: Array) -> tuple[Array, Array]:
         N = len(U)

@@ -1,8 +1,8 @@
 """The catalogue: problems that come with mjslq, each with the numbers that its paper reports.
 
-    names()                        the problems there are
-    get("hopper", height=30.0)     one of them, with its parameters
-    parameters("hopper")           what can be set, and the defaults
+names()                        the problems there are
+get("hopper", height=30.0)     one of them, with its parameters
+parameters("hopper")           what can be set, and the defaults
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from numba import njit
 from mjslq._validation import choose, count, positive
 from mjslq.costs import Tracking
 from mjslq.dynamics._base import Dynamics
-from mjslq.dynamics.function import FunctionDynamics
+from mjslq.dynamics.function import FunctionDynamics, Integrator
 from mjslq.problem import Problem
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
@@ -41,7 +41,7 @@ def hopper(
     q: float = 1000.0,
     r: float = 1.0,
     engine: str = "mujoco",
-    integrator: str = "semi-implicit-euler",
+    integrator: Integrator = "semi-implicit-euler",
 ) -> Problem:
     """Reach `height` [in] at time `duration` [s] with little speed and little gas.
 
@@ -80,7 +80,9 @@ def hopper(
     )
 
 
-def function_dynamics(stiffness: float, alpha: float, gravity: float, dt: float, integrator: str) -> FunctionDynamics:
+def function_dynamics(
+    stiffness: float, alpha: float, gravity: float, dt: float, integrator: Integrator
+) -> FunctionDynamics:
     """The equations above, state (y, y_p, ydot)."""
     return FunctionDynamics(
         _equations, 3, 1, dt, integrator=integrator, parameters=[stiffness, alpha, gravity],
@@ -97,7 +99,7 @@ def mujoco_dynamics(stiffness: float, alpha: float, gravity: float, dt: float) -
 
 
 def phases(X: np.ndarray) -> list[str]:
-    """"stance" and "flight" in the order in which they occur; contact is y <= y_p. X has shape (N + 1, nx)."""
+    """Name the phases, stance or flight, in the order in which they occur; contact is y < y_p. X: (N + 1, nx)."""
     sequence: list[str] = []
     for y, piston in X[1:, :2]:  # at the start the spring is just unloaded, which is neither
         phase = "stance" if y < piston else "flight"

@@ -1,0 +1,1 @@
+"""Methods: one a file, on parts that they share."""

@@ -77,14 +77,22 @@ class Monitor:
         return time.perf_counter() - self.started
 
 
-_HEADER = f"{'it':>4}  {'cost':>16}  {'|gradient|':>10}  {'|direction|':>11}  {'step':>8}  {'rollouts':>8}  {'time [s]':>8}"
+_TITLES = (
+    ("it", 4),
+    ("cost", 16),
+    ("|gradient|", 10),
+    ("|direction|", 11),
+    ("step", 8),
+    ("rollouts", 8),
+    ("time [s]", 8),
+)
+_HEADER = "  ".join(f"{title:>{width}}" for title, width in _TITLES)
 
 
 def _line(e: IterationLog) -> str:
-    step = f"{e.alpha:>8.2g}  {e.evaluations:>8d}" if e.alpha else f"{'-':>8}  {e.evaluations or '-':>8}"
-    return (
-        f"{e.iteration:>4}  {e.cost:>16.9g}  {e.gradient_norm:>10.2e}  {e.direction_norm:>11.2e}  {step}  {e.seconds:>8.3f}"
-    )
+    alpha, rollouts = f"{e.alpha:.2g}" if e.alpha else "-", e.evaluations or "-"
+    norms = f"{e.gradient_norm:>10.2e}  {e.direction_norm:>11.2e}"
+    return f"{e.iteration:>4}  {e.cost:>16.9g}  {norms}  {alpha:>8}  {rollouts:>8}  {e.seconds:>8.3f}"
 
 
 @dataclass

@@ -1,0 +1,355 @@
+"""The LQ sweeps against slow, obvious twins: dense least squares, the KKT system, the paper's recursion, numpy."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mjslq.lq import _dense
+from mjslq.lq.adjoint import adjoint
+from mjslq.lq.riccati import LQProblem, NotPositiveDefinite, solve
+
+seeds = st.integers(0, 2**32 - 1)
+sizes = st.tuples(st.integers(1, 8), st.integers(1, 6), st.integers(1, 12))  # nx, nu, N
+
+
+def random_problem(rng, nx, nu, N, *, state=1.0, control=1.0, terminal=1.0, radius=1.0, cross=True, gaps=True):
+    """An LQ problem, and the residual rows W (x, u) + e behind its stage costs 1/2 |W (x, u) + e|^2."""
+    A = rng.standard_normal((N, nx, nx))
+    A *= radius / np.abs(np.linalg.eigvals(A)).max(axis=1)[:, None, None]
+    B = rng.standard_normal((N, nx, nu))
+    c = rng.standard_normal((N, nx)) if gaps else np.zeros((N, nx))
+    W = np.zeros((N, nx + nu, nx + nu))
+    W[:, :nx, :nx] = np.sqrt(state) * rng.standard_normal((N, nx, nx))
+    W[:, nx:, nx:] = np.sqrt(control) * (np.eye(nu) + 0.3 * rng.standard_normal((N, nu, nu)) / np.sqrt(nu))
+    if cross:
+        W[:, nx:, :nx] = np.sqrt(min(state, control)) * rng.standard_normal((N, nu, nx))
+    e = rng.standard_normal((N, nx + nu))
+    W_end, e_end = np.sqrt(terminal) * rng.standard_normal((nx, nx)), np.sqrt(terminal) * rng.standard_normal(nx)
+    H = W.transpose(0, 2, 1) @ W
+    h = (W.transpose(0, 2, 1) @ e[..., None])[..., 0]
+    lq = LQProblem(
+        A=A, B=B, c=c,
+        Q=np.ascontiguousarray(np.concatenate([H[:, :nx, :nx], [W_end.T @ W_end]])),
+        R=np.ascontiguousarray(H[:, nx:, nx:]), M=np.ascontiguousarray(H[:, nx:, :nx]),
+        q=np.concatenate([h[:, :nx], [W_end.T @ e_end]]), r=np.ascontiguousarray(h[:, nx:]),
+    )  # fmt: skip
+    return lq, (W, e, W_end, e_end)
+
+
+def response(A, B, c):
+    """X = S U + s for x_0 = 0: S of shape (N + 1, nx, N nu), s of shape (N + 1, nx)."""
+    N, nx, nu = B.shape
+    S, s = np.zeros((N + 1, nx, N * nu)), np.zeros((N + 1, nx))
+    for n in range(N):
+        S[n + 1] = A[n] @ S[n]
+        S[n + 1, :, n * nu : (n + 1) * nu] += B[n]
+        s[n + 1] = A[n] @ s[n] + c[n]
+    return S, s
+
+
+def dense_least_squares(lq, rows, multiplier=0.0):
+    """Optimal controls from the stacked residual rows, by QR: never squares the condition."""
+    N, nx, nu = lq.B.shape
+    W, e, W_end, e_end = rows
+    S, s = response(lq.A, lq.B, lq.c)
+    G, F = [], []
+    for n in range(N):
+        E = np.zeros((nu, N * nu))
+        E[:, n * nu : (n + 1) * nu] = np.eye(nu)
+        G.append(W[n] @ np.vstack([S[n], E]))
+        F.append(W[n, :, :nx] @ s[n] + e[n])
+    G.append(W_end @ S[N])
+    F.append(W_end @ s[N] + e_end)
+    if multiplier:
+        G.append(np.sqrt(multiplier) * np.eye(N * nu))
+        F.append(np.zeros(N * nu))
+    orthogonal, upper = np.linalg.qr(np.vstack(G))
+    return -np.linalg.solve(upper, orthogonal.T @ np.concatenate(F)).reshape(N, nu)
+
+
+def total_cost(lq, U):
+    """Roll out and add up, in plain loops."""
+    x, J = np.zeros(lq.A.shape[1]), 0.0
+    for n, u in enumerate(U):
+        J += 0.5 * x @ lq.Q[n] @ x + lq.q[n] @ x + 0.5 * u @ lq.R[n] @ u + lq.r[n] @ u + u @ lq.M[n] @ x
+        x = lq.A[n] @ x + lq.B[n] @ u + lq.c[n]
+    return J + 0.5 * x @ lq.Q[-1] @ x + lq.q[-1] @ x
+
+
+def riccati_twin(lq):
+    """The textbook recursion, shortest form: P, p, K, k."""
+    N, nx, nu = lq.B.shape
+    P, p, K, k = np.empty((N + 1, nx, nx)), np.empty((N + 1, nx)), np.empty((N, nu, nx)), np.empty((N, nu))
+    P[N], p[N] = lq.Q[N], lq.q[N]
+    for n in range(N - 1, -1, -1):
+        A, B, Pc = lq.A[n], lq.B[n], p[n + 1] + P[n + 1] @ lq.c[n]
+        G, H = lq.R[n] + B.T @ P[n + 1] @ B, lq.M[n] + B.T @ P[n + 1] @ A
+        K[n], k[n] = np.linalg.solve(G, H), -np.linalg.solve(G, lq.r[n] + B.T @ Pc)
+        P[n] = lq.Q[n] + A.T @ P[n + 1] @ A - H.T @ K[n]
+        p[n] = lq.q[n] + A.T @ Pc + H.T @ k[n]
+    return P, p, K, k
+
+
+def relative(ours, reference):
+    return np.linalg.norm(ours - reference) / np.linalg.norm(reference)
+
+
+# The sweep
+
+
+@given(sizes, seeds)
+def test_sweep_is_dense_least_squares(size, seed):
+    lq, rows = random_problem(np.random.default_rng(seed), *size)
+    solution = solve(lq)
+    assert relative(solution.U, dense_least_squares(lq, rows)) < 1e-9
+
+
+@pytest.mark.parametrize(
+    "nx, nu, N", [(40, 5, 200), (12, 3, 100), (3, 9, 20), (5, 2, 1), (1, 1, 1), (20, 20, 10), (30, 40, 8)]
+)
+def test_sweep_is_dense_least_squares_for_every_shape(nx, nu, N):
+    lq, rows = random_problem(np.random.default_rng(nx + N), nx, nu, N)
+    solution = solve(lq)
+    assert solution.K.shape == (N, nu, nx) and solution.P.shape == (N + 1, nx, nx)
+    assert relative(solution.U, dense_least_squares(lq, rows)) < 1e-9
+
+
+@pytest.mark.parametrize("terminal", [1e4, 1e5, 1e6])
+@pytest.mark.parametrize("control", [1e-4, 1e-2])
+def test_sweep_survives_weights_ten_orders_apart(control, terminal):
+    rng = np.random.default_rng(5)
+    for nx, nu, N in [(4, 1, 50), (6, 2, 30), (14, 7, 60)]:
+        lq, rows = random_problem(rng, nx, nu, N, state=1e-2, control=control, terminal=terminal)
+        assert relative(solve(lq).U, dense_least_squares(lq, rows)) < 1e-9
+
+
+def test_refinement_gains_digits_where_weights_are_extreme():
+    """Few directions of the terminal weight matter at a time: 1e12 times the control weight."""
+    rng = np.random.default_rng(0)
+    worst = {0: 0.0, 1: 0.0}
+    for _ in range(5):
+        lq, rows = random_problem(rng, 4, 1, 40, state=1e-3, control=1e-4, terminal=1e8)
+        reference = dense_least_squares(lq, rows)
+        for refinements in worst:
+            worst[refinements] = max(worst[refinements], relative(solve(lq, refinements=refinements).U, reference))
+    assert worst[1] < 1e-9
+    assert worst[1] < 1e-2 * worst[0]
+
+
+@given(sizes, seeds)
+def test_sweep_meets_its_own_equations(size, seed):
+    """States follow the dynamics, u = k - K x, and P is symmetric to the last bit and positive semidefinite."""
+    lq, _ = random_problem(np.random.default_rng(seed), *size, control=1e-3, terminal=1e4)
+    K, k, X, U, P, _ = solve(lq)
+    step = np.einsum("nij,nj->ni", lq.A, X[:-1]) + np.einsum("nij,nj->ni", lq.B, U) + lq.c
+    np.testing.assert_allclose(X[1:], step, rtol=1e-12, atol=1e-12 * np.abs(X).max())
+    assert not X[0].any()
+    np.testing.assert_allclose(k - np.einsum("nij,nj->ni", K, X[:-1]), U, rtol=1e-12, atol=1e-12 * np.abs(k).max())
+    np.testing.assert_array_equal(P, P.transpose(0, 2, 1))
+    assert (np.linalg.eigvalsh(P)[:, 0] >= -1e-12 * np.abs(P).max(axis=(1, 2))).all()
+
+
+@given(sizes, seeds)
+def test_sweep_is_the_textbook_recursion(size, seed):
+    lq, _ = random_problem(np.random.default_rng(seed), *size)
+    solution = solve(lq)
+    for ours, twin in zip((solution.P, solution.p, solution.K, solution.k), riccati_twin(lq), strict=True):
+        np.testing.assert_allclose(ours, twin, rtol=1e-7, atol=1e-8 * np.abs(twin).max())
+
+
+@given(sizes, seeds)
+def test_sweep_is_the_papers_algorithm_1(size, seed):
+    """(23)-(26) and (17), (22) as printed, with targets for linear terms."""
+    nx, nu, N = size
+    rng = np.random.default_rng(seed)
+    lq, _ = random_problem(rng, nx, nu, N, cross=False, gaps=False)
+    x_o, u_o = rng.standard_normal((N + 1, nx)), rng.standard_normal((N, nu))
+    q, r = -np.einsum("nij,nj->ni", lq.Q, x_o), -np.einsum("nij,nj->ni", lq.R, u_o)
+    solution = solve(lq._replace(q=q, r=r))
+
+    P, s, M = [lq.Q[N]], [-lq.Q[N] @ x_o[N]], []
+    for n in range(N - 1, -1, -1):
+        A, B, BRB = lq.A[n], lq.B[n], lq.B[n] @ np.linalg.solve(lq.R[n], lq.B[n].T)
+        M.insert(0, np.linalg.inv(np.eye(nx) + BRB @ P[0]))  # (23)
+        PM, P_next, s_next = P[0] @ M[0], P[0], s[0]
+        P.insert(0, lq.Q[n] + A.T @ P_next @ M[0] @ A)  # (25)
+        s.insert(0, A.T @ (np.eye(nx) - PM @ BRB) @ s_next + A.T @ PM @ B @ u_o[n] - lq.Q[n] @ x_o[n])  # (26)
+    x, U = np.zeros(nx), np.empty((N, nu))
+    for n in range(N):
+        R_inverse_B = np.linalg.solve(lq.R[n], lq.B[n].T)
+        x = M[n] @ lq.A[n] @ x + M[n] @ lq.B[n] @ (u_o[n] - R_inverse_B @ s[n + 1])  # (22), (24)
+        U[n] = u_o[n] - R_inverse_B @ (P[n + 1] @ x + s[n + 1])  # (17), (20)
+
+    np.testing.assert_allclose(solution.P, P, rtol=1e-7, atol=1e-8 * np.abs(P).max())
+    np.testing.assert_allclose(solution.p, s, rtol=1e-7, atol=1e-8 * np.abs(s).max())
+    assert relative(solution.U, U) < 1e-7
+
+
+@given(sizes, seeds)
+def test_sweep_solves_the_kkt_system(size, seed):
+    """All of x, u and the multipliers at once; the multiplier of step n is the costate P x + p of knot n + 1."""
+    nx, nu, N = size
+    lq, _ = random_problem(np.random.default_rng(seed), nx, nu, N)
+    states, controls = nx * (N + 1), nu * N
+    H, h = np.zeros((states + controls,) * 2), np.zeros(states + controls)
+    G, g = np.zeros((states, states + controls)), np.zeros(states)
+    for n in range(N + 1):
+        x, u = slice(n * nx, (n + 1) * nx), slice(states + n * nu, states + (n + 1) * nu)
+        H[x, x], h[x], G[x, x] = lq.Q[n], lq.q[n], -np.eye(nx)
+        if n < N:
+            H[u, u], h[u], H[u, x], H[x, u] = lq.R[n], lq.r[n], lq.M[n], lq.M[n].T
+            beyond = slice((n + 1) * nx, (n + 2) * nx)
+            G[beyond, x], G[beyond, u], g[beyond] = lq.A[n], lq.B[n], -lq.c[n]
+    kkt = np.block([[H, G.T], [G, np.zeros((states, states))]])
+    z = np.linalg.solve(kkt, np.concatenate([-h, g]))
+    _, _, X, U, P, p = solve(lq)
+    assert relative(X.ravel(), z[:states]) < 1e-7
+    assert relative(U.ravel(), z[states : states + controls]) < 1e-7
+    costates = np.einsum("nij,nj->ni", P, X) + p
+    assert relative(costates[1:].ravel(), z[states + controls + nx :]) < 1e-7
+
+
+@given(sizes, seeds)
+def test_no_other_controls_cost_less(size, seed):
+    rng = np.random.default_rng(seed)
+    lq, _ = random_problem(rng, *size)
+    U = solve(lq).U
+    J = total_cost(lq, U)
+    for scale in (1e-3, 1e-1, 10.0):
+        assert total_cost(lq, U + scale * rng.standard_normal(U.shape)) > J
+
+
+@given(sizes, seeds, st.floats(1e-6, 1e4))
+def test_multiplier_is_mu_on_the_diagonal_of_R(size, seed, mu):
+    lq, rows = random_problem(np.random.default_rng(seed), *size)
+    ours = solve(lq, mu)
+    twin = solve(lq._replace(R=lq.R + mu * np.eye(size[1])))
+    for name in ("K", "k", "X", "U", "P", "p"):
+        a, b = getattr(ours, name), getattr(twin, name)
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * np.abs(b).max(), err_msg=name)
+    assert relative(ours.U, dense_least_squares(lq, rows, mu)) < 1e-9
+
+
+def test_solve_leaves_its_input_alone():
+    lq, _ = random_problem(np.random.default_rng(1), 4, 2, 10)
+    before = [array.copy() for array in lq]
+    solve(lq, 0.5)
+    for array, copy in zip(lq, before, strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
+@pytest.mark.parametrize("step", [0, 4, 9])
+@pytest.mark.parametrize("spoil", [-1e6, np.nan, np.inf])
+def test_step_without_a_minimizer_is_named(step, spoil):
+    lq, _ = random_problem(np.random.default_rng(2), 3, 2, 10)
+    lq.R[step] = spoil * np.eye(2) if np.isfinite(spoil) else spoil
+    with pytest.raises(NotPositiveDefinite, match=f"step {step}$") as caught:
+        solve(lq)
+    assert caught.value.step == step
+
+
+def test_a_multiplier_mends_an_indefinite_control_weight():
+    lq, _ = random_problem(np.random.default_rng(3), 3, 2, 10)
+    lq.R[6] -= 1e3 * np.eye(2)
+    with pytest.raises(NotPositiveDefinite):
+        solve(lq)
+    assert np.isfinite(solve(lq, 1e4).U).all()
+
+
+# The adjoint
+
+
+@given(sizes, seeds)
+def test_adjoint_is_the_dense_gradient(size, seed):
+    nx, nu, N = size
+    rng = np.random.default_rng(seed)
+    lq, _ = random_problem(rng, nx, nu, N)
+    costates, gradient = adjoint(lq.A, lq.B, lq.q, lq.r)
+    S, _ = response(lq.A, lq.B, lq.c)
+    dense = lq.r + np.einsum("nij,ni->j", S, lq.q).reshape(N, nu)
+    np.testing.assert_allclose(gradient, dense, rtol=1e-9, atol=1e-10 * np.abs(dense).max())
+    reaching = np.eye(nx)  # of x_0 to x_n, which the first costate adds up
+    total = lq.q[0].copy()
+    for n in range(N):
+        reaching = lq.A[n] @ reaching
+        total += reaching.T @ lq.q[n + 1]
+    np.testing.assert_allclose(costates[0], total, rtol=1e-9, atol=1e-10 * np.abs(costates).max())
+
+
+@given(sizes, seeds)
+def test_adjoint_is_the_finite_difference_of_the_total_cost(size, seed):
+    nx, nu, N = size
+    rng = np.random.default_rng(seed)
+    lq, _ = random_problem(rng, nx, nu, N)
+    U, D = rng.standard_normal((N, nu)), rng.standard_normal((N, nu))
+    X = np.zeros((N + 1, nx))
+    for n in range(N):
+        X[n + 1] = lq.A[n] @ X[n] + lq.B[n] @ U[n] + lq.c[n]
+    q = np.einsum("nij,nj->ni", lq.Q, X) + lq.q
+    q[:-1] += np.einsum("nij,ni->nj", lq.M, U)
+    r = np.einsum("nij,nj->ni", lq.R, U) + lq.r + np.einsum("nij,nj->ni", lq.M, X[:-1])
+    _, gradient = adjoint(lq.A, lq.B, q, r)
+    slope = (total_cost(lq, U + D) - total_cost(lq, U - D)) / 2.0  # a quadratic: centred differences are exact
+    scale = np.linalg.norm(gradient) * np.linalg.norm(D) + abs(total_cost(lq, U + D))
+    assert abs(np.vdot(gradient, D) - slope) < 1e-10 * scale
+
+
+# The dense kernels, below and above the size at which they turn to BLAS
+
+shapes = [(1, 1, 1), (3, 2, 5), (7, 14, 14), (16, 16, 16), (16, 16, 17), (40, 40, 6), (30, 40, 20)]
+
+
+def test_shapes_lie_on_both_sides_of_the_threshold():
+    below = [np.prod(shape) <= _dense.SMALL for shape in shapes]
+    assert any(below) and not all(below)
+
+
+@pytest.mark.parametrize("rows, inner, columns", shapes)
+def test_products_are_numpys(rows, inner, columns):
+    rng = np.random.default_rng(rows * inner)
+    A, B = rng.standard_normal((rows, inner)), rng.standard_normal((inner, columns))
+    out = np.full((rows, columns), np.nan)  # whatever stands in it is overwritten
+    _dense.multiply(A, B, out)
+    np.testing.assert_allclose(out, A @ B, rtol=1e-13, atol=1e-13)
+    out[:] = np.nan
+    _dense.multiply_transposed(np.ascontiguousarray(A.T), B, out)
+    np.testing.assert_allclose(out, A @ B, rtol=1e-13, atol=1e-13)
+    x, start = rng.standard_normal(inner), rng.standard_normal(rows)
+    for product, matrix in ((_dense.add_product, A), (_dense.add_transposed_product, np.ascontiguousarray(A.T))):
+        total = start.copy()
+        product(matrix, x, total)
+        np.testing.assert_allclose(total, start + A @ x, rtol=1e-13, atol=1e-13)
+
+
+@given(st.integers(1, 30), st.integers(1, 12), seeds)
+def test_cholesky_is_numpys(n, columns, seed):
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((n, n + 3))
+    A, B = root @ root.T, rng.standard_normal((n, columns))
+    L = np.zeros((n, n))
+    assert _dense.cholesky(np.tril(A) + np.triu(np.full((n, n), np.nan), 1), L)  # only the lower half is read
+    np.testing.assert_allclose(L, np.linalg.cholesky(A), rtol=1e-9, atol=1e-11)
+    X = B.copy()
+    _dense.cholesky_solve(L, X)
+    np.testing.assert_allclose(A @ X, B, rtol=1e-8, atol=1e-9 * np.abs(A).max() * np.abs(X).max())
+
+
+@pytest.mark.parametrize("corner", [0.0, -1.0, np.nan, np.inf, -np.inf])
+def test_cholesky_refuses_what_is_not_positive_definite(corner):
+    for where in range(3):
+        A = np.eye(3)
+        A[where, where] = corner
+        assert not _dense.cholesky(A, np.zeros((3, 3)))
+    assert not _dense.cholesky(np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros((2, 2)))
+
+
+@settings(max_examples=5)
+@given(seeds)
+def test_kernels_are_the_same_compiled_or_not(seed):
+    rng = np.random.default_rng(seed)
+    A, B = rng.standard_normal((5, 4)), rng.standard_normal((4, 6))
+    compiled, plain = np.empty((5, 6)), np.empty((5, 6))
+    _dense.multiply(A, B, compiled)
+    _dense.multiply.py_func(A, B, plain)
+    np.testing.assert_allclose(compiled, plain, rtol=1e-15, atol=1e-15)
