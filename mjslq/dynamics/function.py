@@ -124,7 +124,7 @@ class FunctionDynamics(Dynamics):
         times, steps = self._grid(n + 1)
         function = self._f.py_func if isinstance(self._f, Dispatcher) else self._f
         forward = kernels.advance(function, self._code, self._nv, x, u, times[n], steps[n], self.parameters)
-        return np.asarray(forward, dtype=np.float64), self._read(x, u, float(times[n]))
+        return as_array("next state", forward, finite=False), self._read(x, u, float(times[n]))
 
     def rollout(self, x0: ArrayLike, U: ArrayLike) -> Trajectory:
         """Simulate from `x0` (nx,) under `U` (N, nu)."""
@@ -204,8 +204,7 @@ class FunctionDynamics(Dynamics):
     def _read(self, x: Array, u: Array, t: float) -> Array:
         if self._outputs is None:
             return np.zeros(0)
-        y: Array = np.atleast_1d(self._outputs(x, u, t))
-        return y
+        return as_array("outputs", np.atleast_1d(self._outputs(x, u, t)), finite=False)
 
     def _linearize_outputs(self, X: Array, U: Array) -> tuple[Array, Array]:
         N = len(U)

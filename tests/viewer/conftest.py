@@ -56,7 +56,7 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], bytes]
 def swing(steps: int, dt: float, amplitude: float) -> Trajectory:
     t = dt * np.arange(steps + 1)
     q = amplitude * np.stack([np.sin(2.0 * t), 1.0 - np.cos(3.0 * t)], axis=1)
-    return Trajectory(np.hstack([q, np.gradient(q, dt, axis=0)]), np.stack([t[:-1], -t[:-1]], axis=1), None, dt)
+    return Trajectory(np.hstack([q, np.gradient(q, dt, axis=0)]), np.stack([t[:-1], -t[:-1]], axis=1), dt=dt)
 
 
 def iteration_log(costs: list[float]) -> tuple[IterationLog, ...]:

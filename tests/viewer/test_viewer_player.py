@@ -110,8 +110,8 @@ def test_unknown_ghosts_are_named(player: Player) -> None:
 def test_diverged_iterates_and_costs_are_shown(arm: Result) -> None:
     X = arm.trajectory.X.copy()
     X[40:] = np.nan
-    lost = Trajectory(X, arm.trajectory.U, None, 0.02, diverged_at=40)
-    gone = Trajectory(np.full_like(X, np.nan), arm.trajectory.U, None, 0.02, diverged_at=0)
+    lost = Trajectory(X, arm.trajectory.U, dt=0.02, diverged_at=40)
+    gone = Trajectory(np.full_like(X, np.nan), arm.trajectory.U, dt=0.02, diverged_at=0)
     log = tuple(IterationLog(i, cost, np.nan, 1.0, -1.0, 0.0, 1, 0.0) for i, cost in enumerate((np.inf, np.nan, 4.0)))
     bad = dataclasses.replace(arm, log=log, iterates=(lost, gone, arm.trajectory), cost=np.inf)
     with Player(bad, autoplay=False) as player:
@@ -123,7 +123,7 @@ def test_diverged_iterates_and_costs_are_shown(arm: Result) -> None:
 
 def test_results_with_little_in_them(arm: Result, function: Result) -> None:
     bare = dataclasses.replace(arm, log=(), iterates=(), names={})
-    short = dataclasses.replace(function, trajectory=Trajectory(np.zeros((2, 1)), np.zeros((1, 1)), None, 1e-3))
+    short = dataclasses.replace(function, trajectory=Trajectory(np.zeros((2, 1)), np.zeros((1, 1)), dt=1e-3))
     for result in (bare, function, short):
         with Player(result, autoplay=False) as player:
             player.seek(0.5)

@@ -58,7 +58,7 @@ def test_controls_are_held_over_their_step(function: Result) -> None:
 def test_diverged_curves_end_where_they_are_finite(function: Result) -> None:
     X = function.trajectory.X.copy()
     X[10:] = np.nan
-    lost = Trajectory(X, function.trajectory.U, None, 0.04, diverged_at=10)
+    lost = Trajectory(X, function.trajectory.U, dt=0.04, diverged_at=10)
     for kind, length in (("states", 10), ("controls", 18)):
         (group,) = series.groups(function, kind)
         times, values = series.curves(lost, group)
