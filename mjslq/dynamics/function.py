@@ -181,7 +181,7 @@ class FunctionDynamics(Dynamics):
     def _grid(self, N: int) -> tuple[Array, Array]:
         """Times at which the steps begin, and their lengths. Shapes (N,), (N,)."""
         if isinstance(self.dt, float):
-            return self.dt * np.arange(N), np.full(N, self.dt)
+            return np.arange(N) * np.float64(self.dt), np.full(N, self.dt)
         ends = np.cumsum(self.dt)
         return (ends - self.dt)[:N], self.dt[:N]
 
@@ -204,7 +204,8 @@ class FunctionDynamics(Dynamics):
     def _read(self, x: Array, u: Array, t: float) -> Array:
         if self._outputs is None:
             return np.zeros(0)
-        return as_array("outputs", np.atleast_1d(self._outputs(x, u, t)), finite=False)
+        y: Array = np.atleast_1d(self._outputs(x, u, t))  # complex in the middle of a complex step
+        return y
 
     def _linearize_outputs(self, X: Array, U: Array) -> tuple[Array, Array]:
         N = len(U)

@@ -54,6 +54,7 @@ class Controls:
         self._add_time(duration)
         self.iterations: viser.GuiSliderHandle[int] | None = None
         self.note: viser.GuiHtmlHandle | None = None
+        self.optimization = gui.add_folder("Optimization")
         if iterates > 1:
             self._add_iterations(iterates, iterate)
         self.ghosts: viser.GuiDropdownHandle[str] | None = None
@@ -104,7 +105,7 @@ class Controls:
         self.loop.on_update(_from_browser(lambda event: actions.set_loop(event.target.value)))
 
     def _add_iterations(self, iterates: int, iterate: int) -> None:
-        with self._gui.add_folder("Optimization"):
+        with self.optimization:
             self.iterations = self._gui.add_slider("Iterate", 0, iterates - 1, 1, iterate)
             self.note = self._gui.add_html("")
         self.iterations.on_update(_from_browser(lambda event: self._actions.show_iterate(int(event.target.value))))

@@ -19,7 +19,7 @@ from mjslq.viewer.scene import SceneView, quiet
 
 _FRAMES = 30.0  # sent to the browser a second
 _MARKS = 10.0  # moves of the plots' marks a second; each resends the curves
-_PLOTS_WIDTH, _CONTROLS_WIDTH = 400.0, 300.0  # [px]
+_PLOTS_WIDTH, _CONTROLS_WIDTH = 390.0, 330.0  # [px]
 _ASPECT = 0.85  # of what the panels leave of a usual window
 _NO_SCENE = (
     '<div style="font:12px/1.5 system-ui,sans-serif;opacity:.75;padding:8px 12px">This problem has no model to draw, '
@@ -233,6 +233,11 @@ class Player:
             iterate=self._iterate or 0,
             scene=result.scene is not None,
         )
+        if len(series.costs(result)[0]):
+            with self._controls.optimization:
+                self._cost_plot = panels.CostPlot(gui, result)
+        else:
+            self._controls.optimization.visible = len(result.iterates) > 1
         self._add_plots(gui)
         if self._iterate is not None:
             self._note_iterate(self._iterate)
@@ -247,8 +252,6 @@ class Player:
                 found = series.groups(self._result, kind, self._model)
                 if found:
                     self._plots.append(panels.SignalPlot(gui, title, found, self._redraw_plots))
-            if len(series.costs(self._result)[0]):
-                self._cost_plot = panels.CostPlot(gui, self._result)
         self._redraw_plots()
 
     def _redraw_plots(self) -> None:

@@ -81,7 +81,7 @@ def test_slider_in_the_page_moves_the_robot(arm: Result, browser: Any, monkeypat
         page.get_by_role("button", name="Play").click()
         page.get_by_role("button", name="Pause").wait_for()
         assert player.playing
-        page.locator(".uplot").nth(2).wait_for()  # states, controls, costs
+        page.locator(".uplot").nth(2).wait_for()  # costs, states, controls
         page.close()
     assert not errors
 
