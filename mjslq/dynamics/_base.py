@@ -45,6 +45,15 @@ class Linearization(NamedTuple):
     """d y_n / d u_n; zero at the last knot. Shape (N + 1, ny, nu)."""
 
 
+class Output(NamedTuple):
+    """Where a named output stands in y."""
+
+    columns: slice
+    """Its entries."""
+    quaternion: bool = False
+    """Whether they are a unit quaternion."""
+
+
 @dataclass(frozen=True)
 class DerivativeCheck:
     """How far an engine's Jacobians are from a fine reference, over the knots of a trajectory."""
@@ -80,6 +89,16 @@ class Dynamics(ABC):
     unstable motions drift away from an open-loop change of the controls."""
     control_names: tuple[str, ...]
     output_names: tuple[str, ...]
+
+    @property
+    def outputs(self) -> dict[str, Output]:
+        """Outputs by name; "y[0]", "y[1]", ... in `output_names` are the entries of one output "y"."""
+        found: dict[str, Output] = {}
+        for i, name in enumerate(self.output_names):
+            owner = name.split("[", 1)[0]
+            start = found[owner].columns.start if owner in found else i
+            found[owner] = Output(slice(start, i + 1))
+        return found
 
     @abstractmethod
     def rollout(self, x0: ArrayLike, U: ArrayLike) -> Trajectory:

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from mjslq._rotation import conjugate, exp, inverse_right_jacobian, log, product
 from mjslq._validation import Array
 
 
@@ -54,7 +55,7 @@ class StateSpace:
         dx = np.empty((*np.broadcast_shapes(x.shape, y.shape)[:-1], self.ndx))
         dx[..., self.plain_dx] = y[..., self.plain_x] - x[..., self.plain_x]
         if len(self.quat_x):
-            dx[..., self.quat_dx] = _log(_product(_conjugate(x[..., self.quat_x]), y[..., self.quat_x]))
+            dx[..., self.quat_dx] = log(product(conjugate(x[..., self.quat_x]), y[..., self.quat_x]))
         return dx
 
     def integrate(self, x: Array, dx: Array) -> Array:
@@ -63,7 +64,7 @@ class StateSpace:
         y = np.empty((*np.broadcast_shapes(x.shape[:-1], dx.shape[:-1]), self.nx))
         y[..., self.plain_x] = x[..., self.plain_x] + dx[..., self.plain_dx]
         if len(self.quat_x):
-            turned = _product(x[..., self.quat_x], _exp(dx[..., self.quat_dx]))
+            turned = product(x[..., self.quat_x], exp(dx[..., self.quat_dx]))
             y[..., self.quat_x] = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
         return y
 
@@ -78,7 +79,7 @@ class StateSpace:
         phi = self.difference(x, y)[..., self.quat_dx]  # (..., nquat, 3)
         jacobian = np.zeros((*phi.shape[:-2], self.ndx, self.ndx))
         jacobian[..., np.arange(self.ndx), np.arange(self.ndx)] = 1.0
-        jacobian[..., self.quat_dx[:, :, None], self.quat_dx[:, None, :]] = _inverse_right_jacobian(phi)
+        jacobian[..., self.quat_dx[:, :, None], self.quat_dx[:, None, :]] = inverse_right_jacobian(phi)
         return jacobian
 
     def tangent_basis(self, x: Array) -> Array | None:
@@ -92,7 +93,7 @@ class StateSpace:
         basis = np.zeros((*x.shape, self.ndx))
         basis[..., self.plain_x, self.plain_dx] = 1.0
         for j, unit in enumerate(np.eye(4)[1:]):
-            basis[..., self.quat_x, self.quat_dx[:, j, None]] = 0.5 * _product(x[..., self.quat_x], unit)
+            basis[..., self.quat_x, self.quat_dx[:, j, None]] = 0.5 * product(x[..., self.quat_x], unit)
         return basis
 
     def normalized(self, x: Array) -> Array:
@@ -107,41 +108,3 @@ class StateSpace:
         x = x.copy()
         x[..., self.quat_x] = np.where(np.abs(length - 1.0) > 1e-12, quats / length, quats)
         return x
-
-
-def _conjugate(q: Array) -> Array:
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
-
-
-def _product(p: Array, q: Array) -> Array:
-    """Product of quaternions. Shape (..., 4)."""
-    pw, pv, qw, qv = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
-    scalar = pw * qw - (pv * qv).sum(axis=-1, keepdims=True)
-    return np.concatenate([scalar, pw * qv + qw * pv + np.cross(pv, qv)], axis=-1)
-
-
-def _log(q: Array) -> Array:
-    """Rotation vector of a quaternion of any length above zero, of angle at most pi. Shape (..., 4) -> (..., 3)."""
-    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, q[..., :1])
-    angle = np.where(angle > np.pi, angle - 2.0 * np.pi, angle)
-    return q[..., 1:] * (angle / np.where(sine > 0.0, sine, 1.0))
-
-
-def _exp(phi: Array) -> Array:
-    """Quaternion of a rotation vector. Shape (..., 3) -> (..., 4)."""
-    half = 0.5 * np.linalg.norm(phi, axis=-1, keepdims=True)
-    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * phi], axis=-1)
-
-
-def _inverse_right_jacobian(phi: Array) -> Array:
-    """Differentiate log(q exp(w)) by w at zero, where log(q) = phi. Shape (..., 3) -> (..., 3, 3)."""
-    square = (phi * phi).sum(axis=-1)
-    angle = np.sqrt(square)
-    small = angle < 1e-3
-    half = np.where(small, 1.0, 0.5 * angle)
-    c = np.where(small, 1.0 / 12.0 + square / 720.0, (1.0 - half / np.tan(half)) / np.where(small, 1.0, square))
-    skew = np.zeros((*phi.shape, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        skew[..., j, i], skew[..., i, j] = phi[..., k], -phi[..., k]
-    return np.eye(3) + 0.5 * skew + c[..., None, None] * (skew @ skew)

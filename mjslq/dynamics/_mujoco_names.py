@@ -6,6 +6,8 @@ from typing import Any
 
 import mujoco
 
+from mjslq.dynamics._base import Output
+
 _POSITIONS = {
     mujoco.mjtJoint.mjJNT_FREE: (".x", ".y", ".z", ".qw", ".qx", ".qy", ".qz"),
     mujoco.mjtJoint.mjJNT_BALL: (".qw", ".qx", ".qy", ".qz"),
@@ -45,6 +47,17 @@ def output_names(model: mujoco.MjModel) -> tuple[str, ...]:
     for s in range(model.nsensor):
         names += _numbered(_name(model.sensor(s), "sensor"), int(model.sensor_dim[s]))
     return tuple(names)
+
+
+def outputs(model: mujoco.MjModel) -> dict[str, Output]:
+    """Sensors by name, and where their readings stand in y."""
+    quaternions = (mujoco.mjtSensor.mjSENS_FRAMEQUAT, mujoco.mjtSensor.mjSENS_BALLQUAT)
+    found = {}
+    for s in range(model.nsensor):
+        start = int(model.sensor_adr[s])
+        columns = slice(start, start + int(model.sensor_dim[s]))
+        found[_name(model.sensor(s), "sensor")] = Output(columns, mujoco.mjtSensor(model.sensor_type[s]) in quaternions)
+    return found
 
 
 def model_name(model: mujoco.MjModel) -> str | None:

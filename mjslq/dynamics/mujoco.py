@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjslq._validation import Array, as_array, choose, count, positive
-from mjslq.dynamics._base import Dynamics, Linearization
+from mjslq.dynamics._base import Dynamics, Linearization, Output
 from mjslq.dynamics._mujoco_manifold import StateSpace
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
@@ -183,6 +183,13 @@ class MujocoDynamics(Dynamics):
     def keyframe_control(self, name: str) -> Array:
         """Look up the controls of a keyframe. Shape (nu,).  Raises ValueError, which lists the names there are."""
         return np.array(self.model.key_ctrl[self._keyframe_index(name)])
+
+    @property
+    def outputs(self) -> dict[str, Output]:
+        """Sensors by name."""
+        from mjslq.dynamics import _mujoco_names as names
+
+        return names.outputs(self.model)
 
     def rollout(self, x0: ArrayLike, U: ArrayLike) -> Trajectory:
         """Simulate from `x0` (nx,) under the controls `U` (N, nu)."""

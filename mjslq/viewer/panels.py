@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import viser
 
 _POINTS = 800  # more than pixels, so that nothing shows of the thinning
-_HEIGHT = 190  # of a plot [px]
+_HEIGHT, _TALL = 190, 280  # of a plot; beside a robot, and alone [px]
 _MARK = "#1f2933"
 _FONT = "font-size:12px;line-height:1.55"
 _GOOD, _FAIR = ("#1d7a4f", "#e3f4ea"), ("#94600b", "#fdf1dc")
@@ -71,8 +71,16 @@ def summary(result: Result) -> str:
 class SignalPlot:
     """One plot of states, controls or outputs over time, with a choice of group and a legend of values."""
 
-    def __init__(self, gui: viser.GuiApi, title: str, groups: list[series.Group], changed: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        title: str,
+        groups: list[series.Group],
+        changed: Callable[[], None],
+        tall: bool = False,
+    ) -> None:
         """Add the elements to the current container; `changed` is called when the reader chooses another group."""
+        self._height = _TALL if tall else _HEIGHT
         self._gui = gui
         self._groups = {group.title: group for group in groups}
         self._group = groups[0]
@@ -104,6 +112,7 @@ class SignalPlot:
                 self._range,
                 x_label="time [s]",
                 y_label=self._group.unit and f"[{self._group.unit}]",
+                height=self._height,
             )
             self._legend = self._gui.add_html(self._legend_html(0.0))
 
@@ -138,28 +147,24 @@ class SignalPlot:
 
 
 class CostPlot:
-    """Cost of each iteration, on a logarithmic axis when all are positive, with a mark at the one shown."""
+    """Cost of each iteration, as its logarithm when it is positive and spans decades, with a mark at the one shown."""
 
     def __init__(self, gui: viser.GuiApi, result: Result) -> None:
         """Add the plot to the current container."""
         iterations, costs = series.costs(result)
-        self._curves = (iterations, costs[:, None])
         logarithmic = bool((costs > 0.0).all()) and costs.max() > 10.0 * costs.min()
-        if logarithmic:
-            decades = np.floor(np.log10(costs.min())), np.ceil(np.log10(costs.max()))  # ticks start at the limits
-            self._range = (float(10.0 ** decades[0]), float(10.0 ** decades[1]))
-        else:
-            self._range = series.value_range(costs)
-        last = max(float(iterations[-1]), 1.0)
+        values = np.log10(costs) if logarithmic else costs
+        self._curves = (iterations, values[:, None])
+        self._range = series.value_range(values)
         self._plot = _uplot(
             gui,
             with_mark(*self._curves, float(iterations[-1]), self._range),
             ("cost",),
-            (0.0, last),
+            (0.0, max(float(iterations[-1]), 1.0)),
             self._range,
             x_label="iteration",
-            y_label="cost",
-            logarithmic=logarithmic,
+            y_label="log10 cost" if logarithmic else "cost",
+            whole=True,
             points=len(iterations) <= 40,
         )
 
@@ -190,9 +195,11 @@ def _uplot(
     *,
     x_label: str,
     y_label: str,
-    logarithmic: bool = False,
+    height: int = _HEIGHT,
+    whole: bool = False,
     points: bool = False,
 ) -> viser.GuiUplotHandle:
+    """Add a plot whose last curve is the mark; `whole` keeps the ticks of x on whole numbers."""
     from viser import uplot
 
     lines: list[Any] = [uplot.Series(label=x_label)]
@@ -200,19 +207,19 @@ def _uplot(
         dots = uplot.Series_Points(show=points, size=5, fill=color)
         lines.append(uplot.Series(label=label, stroke=color, width=1.5, points=dots, scale="y"))
     lines.append(uplot.Series(label="", stroke=_MARK, width=1, points=uplot.Series_Points(show=False), scale="y"))
-    y_scale = uplot.Scale(range=y_range, distr=3, log=10) if logarithmic else uplot.Scale(range=y_range)
     axis: dict[str, Any] = {"labelSize": 18, "font": "11px system-ui", "labelFont": "11px system-ui", "labelGap": 0}
     x_axis: Any = axis | {"label": x_label, "size": 26}
-    y_axis: Any = axis | {"scale": "y", "size": 48} | ({"label": y_label} if y_label else {})
-    if logarithmic:  # nine lines a decade hide the curve
-        y_axis |= {"grid": {"show": False}, "ticks": {"show": False}}
+    if whole:
+        x_axis["incrs"] = tuple(step * 10**power for power in range(6) for step in (1, 2, 5))
+    digits = max(len(f"{limit:,.0f}") for limit in y_range)
+    y_axis: Any = axis | {"scale": "y", "size": 22 + 7 * max(digits, 4)} | ({"label": y_label} if y_label else {})
     return gui.add_uplot(
         data,
         tuple(lines),
-        scales={"x": uplot.Scale(time=False, range=x_range), "y": y_scale},
+        scales={"x": uplot.Scale(time=False, range=x_range), "y": uplot.Scale(range=y_range)},
         axes=(x_axis, y_axis),
         legend=uplot.Legend(show=False),
         cursor=uplot.Cursor(show=True, points=uplot.Cursor_Points(show=False)),
-        height=_HEIGHT,
+        height=height,
         padding=(10, 14, 0, 0),
     )

@@ -22,7 +22,7 @@ _MARKS = 10.0  # moves of the plots' marks a second; each resends the curves
 _PLOTS_WIDTH, _CONTROLS_WIDTH = 390.0, 330.0  # [px]
 _ASPECT = 0.85  # of what the panels leave of a usual window
 _NO_SCENE = (
-    '<div style="font:12px/1.5 system-ui,sans-serif;opacity:.75;padding:8px 12px">This problem has no model to draw, '
+    '<div style="font-size:12px;line-height:1.55;opacity:.75;padding:8px 12px">This problem has no model to draw, '
     "so there are only its plots.</div>"
 )
 
@@ -251,7 +251,7 @@ class Player:
             for title, kind in (("States", "states"), ("Controls", "controls"), ("Outputs", "outputs")):
                 found = series.groups(self._result, kind, self._model)
                 if found:
-                    self._plots.append(panels.SignalPlot(gui, title, found, self._redraw_plots))
+                    self._plots.append(panels.SignalPlot(gui, title, found, self._redraw_plots, self._view is None))
         self._redraw_plots()
 
     def _redraw_plots(self) -> None:

@@ -25,6 +25,7 @@ _GHOST_SHRINK = 0.002  # each ghost a little smaller than the one before: surfac
 _GROUND, _CELL, _SECTION = (238, 240, 243), (220, 224, 230), (196, 202, 211)
 _TRACE = (214, 93, 50)
 _TRACES = 4  # paths drawn at most
+_SURROUNDINGS = 0.12  # how far the first view goes beyond the motion, for what stands there; of the motion's size
 
 
 @dataclass(frozen=True)
@@ -201,12 +202,18 @@ class SceneView:
         start.near, start.far = distance / 200.0, distance * 200.0
 
     def _extent(self) -> tuple[Array, Array]:
-        """Return the box of all that moves; of all there is when nothing does."""
-        moving = [piece for piece in self._pieces if self._model.body_weldid[piece.body] != 0] or self._pieces
-        if not moving:
+        """Return the box of all that moves, widened a little by what stands around it."""
+        if not self._pieces:
             return -np.ones(3), np.ones(3)
-        boxes = np.array([[piece.vertices.min(axis=0), piece.vertices.max(axis=0)] for piece in moving])
-        return extent(self._motion, np.array([piece.body for piece in moving]), boxes)
+        boxes = np.array([[piece.vertices.min(axis=0), piece.vertices.max(axis=0)] for piece in self._pieces])
+        bodies = np.array([piece.body for piece in self._pieces])
+        moves = self._model.body_weldid[bodies] != 0
+        all_low, all_high = extent(self._motion, bodies, boxes)
+        if not moves.any():
+            return all_low, all_high
+        low, high = extent(self._motion, bodies[moves], boxes[moves])
+        room = _SURROUNDINGS * float(np.linalg.norm(high - low))
+        return np.maximum(all_low, low - room), np.minimum(all_high, high + room)
 
 
 @contextmanager

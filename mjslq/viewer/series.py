@@ -93,7 +93,7 @@ def value_range(values: Array, room: float = 0.08) -> tuple[float, float]:
     low, high = float(finite.min()), float(finite.max())
     span = high - low
     if span <= 1e-9 * max(abs(low), abs(high), 1e-9):
-        span = max(abs(low), 1e-3)
+        span = abs(low) or 1.0
     return low - room * span, high + room * span
 
 

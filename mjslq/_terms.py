@@ -1,0 +1,251 @@
+"""Cost terms fitted to a system and a horizon: what `mjslq.costs` becomes inside a problem.
+
+Each evaluates and expands over the whole horizon at once; the notation is that of `mjslq.costs`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from mjslq._rotation import conjugate, inverse_right_jacobian, log, product
+from mjslq._validation import Array
+from mjslq.dynamics._base import Dynamics, Linearization
+from mjslq.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from mjslq.costs import Function
+
+
+class Expansion(NamedTuple):
+    """Second-order expansion of all stage costs about a trajectory, in tangent directions."""
+
+    Q: Array
+    """Shape (N + 1, ndx, ndx)."""
+    R: Array
+    """Shape (N, nu, nu)."""
+    M: Array
+    """Shape (N, nu, ndx)."""
+    q: Array
+    """Shape (N + 1, ndx)."""
+    r: Array
+    """Shape (N, nu)."""
+
+    @staticmethod
+    def zeros(N: int, ndx: int, nu: int) -> Expansion:
+        """An expansion to add to."""
+        return Expansion(
+            np.zeros((N + 1, ndx, ndx)), np.zeros((N, nu, nu)), np.zeros((N, nu, ndx)),
+            np.zeros((N + 1, ndx)), np.zeros((N, nu)),
+        )  # fmt: skip
+
+
+class BoundTerm(ABC):
+    """A cost term fitted to a system and a horizon."""
+
+    @abstractmethod
+    def cost(self, trajectory: Trajectory) -> float:
+        """Sum of the term over the knots."""
+
+    @abstractmethod
+    def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
+        """Add gradient and (Gauss-Newton) Hessian to `into`."""
+
+
+class StateTerm(BoundTerm):
+    """1/2 d'W_n d with d = difference(target_n, x_n)."""
+
+    def __init__(self, dynamics: Dynamics, W: Array, target: Array) -> None:
+        self._dynamics, self._W, self._target = dynamics, W, target
+        # Terms that act on few knots (terminal ones, above all) touch only those.
+        active = np.flatnonzero(W.any(axis=(1, 2)))
+        self._knots = slice(active[0], active[-1] + 1) if active.size else slice(0, 0)
+
+    def cost(self, trajectory: Trajectory) -> float:
+        d, Wd = self._weighted(trajectory)
+        return 0.5 * float(np.vdot(d, Wd))
+
+    def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
+        _, Wd = self._weighted(trajectory)
+        knots, W = self._knots, self._W[self._knots]
+        J = self._dynamics.difference_jacobian(self._target[knots], trajectory.X[knots])
+        if J is not None:
+            W, Wd = _congruence(J, W), _transposed_times(J, Wd)
+        into.Q[knots] += W
+        into.q[knots] += Wd
+
+    def _weighted(self, trajectory: Trajectory) -> tuple[Array, Array]:
+        d = self._dynamics.difference(self._target[self._knots], trajectory.X[self._knots])
+        return d, _times(self._W[self._knots], d)
+
+
+class ControlTerm(BoundTerm):
+    """1/2 d'W_n d with d = u_n - target_n."""
+
+    def __init__(self, W: Array, target: Array) -> None:
+        self._W, self._target = W, target
+
+    def cost(self, trajectory: Trajectory) -> float:
+        d = trajectory.U - self._target
+        return 0.5 * float(np.vdot(d, _times(self._W, d)))
+
+    def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
+        into.R[:] += self._W
+        into.r[:] += _times(self._W, trajectory.U - self._target)
+
+
+class SensorTerm(BoundTerm):
+    """s_n/2 d'W d with d the difference of a reading y_n[columns] from its target."""
+
+    def __init__(self, columns: slice, quaternion: bool, target: Array, W: Array, scales: Array) -> None:
+        self._columns, self._quaternion = columns, quaternion
+        active = np.flatnonzero(scales)
+        self._knots = slice(active[0], active[-1] + 1)
+        self._target, self._W, self._scales = target[self._knots], W, scales[self._knots]
+
+    def cost(self, trajectory: Trajectory) -> float:
+        d = self._difference(trajectory)
+        return 0.5 * float(self._scales @ (d * (d @ self._W)).sum(axis=1))
+
+    def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
+        d, knots = self._difference(trajectory), self._knots
+        C, D = linearization.C[knots, self._columns], linearization.D[knots, self._columns]
+        if self._quaternion:
+            J = self._rotation_jacobian(trajectory.Y[knots, self._columns], d)
+            C, D = J @ C, J @ D
+        WC, Wd = self._scales[:, None, None] * (self._W @ C), self._scales[:, None] * (d @ self._W)
+        into.Q[knots] += C.swapaxes(1, 2) @ WC
+        into.q[knots] += _transposed_times(C, Wd)
+        N = len(into.r)
+        steps, running = slice(knots.start, min(knots.stop, N)), slice(0, min(knots.stop, N) - knots.start)
+        D = D[running]
+        if D.any():
+            DW = D.swapaxes(1, 2) @ (self._scales[running, None, None] * self._W)
+            into.R[steps] += DW @ D
+            into.M[steps] += DW @ C[running]
+            into.r[steps] += _transposed_times(D, Wd[running])
+
+    def _difference(self, trajectory: Trajectory) -> Array:
+        y = trajectory.Y[self._knots, self._columns]
+        return log(product(conjugate(self._target), y)) if self._quaternion else y - self._target
+
+    @staticmethod
+    def _rotation_jacobian(y: Array, d: Array) -> Array:
+        """d(log(target^-1 y))/dy: the turn that a change of y means, then the inverse right Jacobian. (..., 3, 4)."""
+        turn = np.stack([2.0 * product(conjugate(y), np.broadcast_to(e, y.shape))[:, 1:] for e in np.eye(4)], axis=-1)
+        return inverse_right_jacobian(d) @ turn
+
+
+class PointwiseTerm(BoundTerm):
+    """A term from a Python function of (x, u, t), called knot by knot."""
+
+    def __init__(self, dynamics: Dynamics, scales: Array) -> None:
+        self._dynamics, self._scales, self._nx = dynamics, scales, dynamics.nx
+
+    def _knots(self, trajectory: Trajectory) -> list[tuple[int, float, Array, float]]:
+        """(n, s_n, (x_n, u_n) as one vector, t_n) of the knots where the term acts."""
+        U = np.vstack([trajectory.U, np.zeros(trajectory.U.shape[1])])
+        Z, times = np.hstack([trajectory.X, U]), trajectory.times
+        return [(int(n), float(self._scales[n]), Z[n], float(times[n])) for n in np.flatnonzero(self._scales)]
+
+    def _add(self, n: int, x: Array, gradient: Array, hessian: Array, into: Expansion) -> None:
+        """Add a gradient and a Hessian by (x, u) entries, turned into tangent directions."""
+        nx, basis = self._nx, self._dynamics.tangent_basis(x)
+        T = np.eye(nx) if basis is None else basis
+        into.q[n] += T.T @ gradient[:nx]
+        into.Q[n] += T.T @ hessian[:nx, :nx] @ T
+        if n < len(into.r):
+            into.r[n] += gradient[nx:]
+            into.R[n] += hessian[nx:, nx:]
+            into.M[n] += hessian[nx:, :nx] @ T
+
+
+class ResidualTerm(PointwiseTerm):
+    def __init__(
+        self, dynamics: Dynamics, r: Callable[..., Any], jacobian: Callable[..., Any] | None, W: Array, scales: Array
+    ) -> None:
+        super().__init__(dynamics, scales)
+        self._r, self._jacobian, self._W = r, jacobian, W
+
+    def cost(self, trajectory: Trajectory) -> float:
+        total = 0.0
+        for _, scale, z, t in self._knots(trajectory):
+            r = self._value(z, t)
+            total += 0.5 * scale * float(r @ self._W @ r)
+        return total
+
+    def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
+        for n, scale, z, t in self._knots(trajectory):
+            if self._jacobian is None:
+                J = _complex_step(partial(self._value, t=t), z)
+            else:
+                J = np.hstack(self._jacobian(z[: self._nx], z[self._nx :], t))
+            WJ = scale * self._W @ J
+            self._add(n, z[: self._nx], WJ.T @ self._value(z, t), J.T @ WJ, into)
+
+    def _value(self, z: Array, t: float) -> Array:
+        return np.atleast_1d(np.asarray(self._r(z[: self._nx], z[self._nx :], t)))
+
+
+class FunctionTerm(PointwiseTerm):
+    def __init__(self, dynamics: Dynamics, term: Function, scales: Array) -> None:
+        super().__init__(dynamics, scales)
+        self._term = term
+
+    def cost(self, trajectory: Trajectory) -> float:
+        return float(sum(scale * self._value(z, t)[0] for _, scale, z, t in self._knots(trajectory)))
+
+    def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
+        for n, scale, z, t in self._knots(trajectory):
+            hessian = _positive_part(0.5 * (H := self._hessian(z, t)) + 0.5 * H.T)
+            self._add(n, z[: self._nx], scale * self._gradient(z, t), scale * hessian, into)
+
+    def _value(self, z: Array, t: float) -> Array:
+        return np.asarray(self._term.l(z[: self._nx], z[self._nx :], t)).reshape(1)
+
+    def _gradient(self, z: Array, t: float) -> Array:
+        if self._term.gradient is not None:
+            return np.concatenate(self._term.gradient(z[: self._nx], z[self._nx :], t))
+        return _complex_step(lambda w: self._value(w, t), z)[0]
+
+    def _hessian(self, z: Array, t: float) -> Array:
+        if self._term.hessian is not None:
+            return np.asarray(self._term.hessian(z[: self._nx], z[self._nx :], t), dtype=np.float64)
+        columns = []
+        for i in range(z.size):
+            d = np.zeros(z.size)
+            d[i] = 6e-6 * max(1.0, abs(z[i]))
+            columns.append((self._gradient(z + d, t) - self._gradient(z - d, t)) / (2.0 * d[i]))
+        return np.stack(columns, axis=-1)
+
+
+def _complex_step(function: Callable[[Array], Array], z: Array) -> Array:
+    """Jacobian of `function` at z, exact to rounding where it is analytic. Shape (m, len(z))."""
+    tiny, columns = 1e-40, []
+    for i in range(z.size):
+        w = z.astype(np.complex128)
+        w[i] += 1j * tiny
+        columns.append(function(w).imag / tiny)  # type: ignore[arg-type]  # complex on purpose
+    return np.stack(columns, axis=-1)
+
+
+def _positive_part(H: Array) -> Array:
+    """The nearest positive semidefinite matrix to a symmetric one."""
+    values, vectors = np.linalg.eigh(H)
+    return H if values[0] >= 0.0 else (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
+def _times(W: Array, d: Array) -> Array:
+    return (W @ d[..., None])[..., 0]
+
+
+def _transposed_times(J: Array, d: Array) -> Array:
+    return (J.swapaxes(-1, -2) @ d[..., None])[..., 0]
+
+
+def _congruence(J: Array, W: Array) -> Array:
+    return J.swapaxes(-1, -2) @ W @ J
