@@ -8,7 +8,8 @@ Notation
     armijo          halve alpha until phi(alpha) <= phi(0) + c1 alpha phi'(0)
     goldstein       also phi(alpha) >= phi(0) + (1 - c1) alpha phi'(0): not too short, by bisection
     wolfe           armijo, and |phi'(alpha)| <= c2 |phi'(0)| (strong), by bisection
-    quadratic-fit   minimum of the parabola through phi at 0, alpha/2, alpha; alpha shrinks until one of them descends
+    quadratic-fit   alpha = 1 where phi(1) - phi(0) is about phi'(0)/2, as a good model has it; else the minimum of the
+                    parabola through phi at 0, alpha/2, alpha, where alpha shrinks until one of them descends
     exact           minimum over (0, 1] by a scan and Brent's method (scipy.optimize.minimize_scalar)
 
 Roundoff rule. Near a minimum the differences of phi drown in rounding while its derivatives still tell. When the
@@ -33,6 +34,8 @@ Slope = Callable[[Iterate, float], float]
 C1 = 1e-4
 C1_GOLDSTEIN = 0.1
 C2 = 0.9
+TRUST = 0.1
+"""Relative error of the decrease that a model promises, up to which its step is taken as it is."""
 SMALLEST = 1e-10
 """Step below which a search gives up."""
 ROUNDOFF = 1e-9
@@ -151,7 +154,13 @@ def wolfe(trial: Trial) -> float | None:
 
 
 def quadratic_fit(trial: Trial) -> float | None:
-    """Minimum of a parabola through three points, or the best of the points themselves."""
+    """Minimum of a parabola through three points, or the best of the points themselves.
+
+    The full step is taken at once where it brings what a quadratic model with its minimum there promises.
+    """
+    promised = 0.5 * trial.slope
+    if abs(trial.cost(1.0) - trial.here.cost - promised) <= TRUST * abs(promised):
+        return 1.0
     alpha = 1.0
     while alpha > SMALLEST:
         start, middle, end = trial.here.cost, trial.cost(0.5 * alpha), trial.cost(alpha)
