@@ -130,7 +130,9 @@ def test_diverged_motion_holds_its_last_finite_pose(arm: Result) -> None:
     model = geometry.load_model(arm.scene.model)
     moved = motion.motion(model, arm.scene, Trajectory(X, arm.trajectory.U, dt=0.02, diverged_at=30))
     np.testing.assert_array_equal(moved.at(2.0)[0], moved.positions[29])
-    lost = motion.motion(model, arm.scene, Trajectory(np.full_like(X, np.nan), arm.trajectory.U, dt=0.02, diverged_at=0))
+    lost = motion.motion(
+        model, arm.scene, Trajectory(np.full_like(X, np.nan), arm.trajectory.U, dt=0.02, diverged_at=0)
+    )
     assert np.isfinite(lost.at(1.0)[0]).all()
 
 
