@@ -206,7 +206,9 @@ class Player:
     def _note_iterate(self, index: int) -> None:
         entry = self._result.log[index] if index < len(self._result.log) else None
         if self._controls is not None:
-            told = "" if entry is None else f"cost {panels.figure(entry.cost)}, step {panels.figure(entry.alpha)}"
+            told = "" if entry is None else f"cost {panels.figure(entry.cost)}"
+            if entry is not None and entry.alpha > 0.0:
+                told += f", then a step of {panels.figure(entry.alpha)}"
             self._controls.show_iterate(index, told)
         if self._cost_plot is not None and entry is not None:
             self._cost_plot.mark(float(entry.iteration))

@@ -121,7 +121,7 @@ def _array(trajectory: Trajectory, kind: str) -> Array:
 
 def _state_kinds(model: Any, columns: tuple[int, ...], size: int) -> list[tuple[str, str]]:
     """Return (kind, unit) of each state: positions where the scene reads them, velocities if their number fits."""
-    position_units, velocity_units = [], []
+    position_units, velocity_units, length = [], [], length_unit(model)
     for joint in range(model.njnt):
         joint_type = mujoco.mjtJoint(model.jnt_type[joint])
         lengths, quaternions, angles = {
@@ -130,10 +130,10 @@ def _state_kinds(model: Any, columns: tuple[int, ...], size: int) -> list[tuple[
             mujoco.mjtJoint.mjJNT_SLIDE: (1, 0, 0),
             mujoco.mjtJoint.mjJNT_HINGE: (0, 0, 1),
         }[joint_type]
-        position_units += [("positions", "m")] * lengths + [("quaternions", "")] * quaternions
+        position_units += [("positions", length)] * lengths + [("quaternions", "")] * quaternions
         position_units += [("positions", "rad")] * angles
         turns = 3 if quaternions else angles
-        velocity_units += [("velocities", "m/s")] * lengths + [("velocities", "rad/s")] * turns
+        velocity_units += [("velocities", f"{length}/s")] * lengths + [("velocities", "rad/s")] * turns
     kinds = [("other states", "")] * size
     for column, entry in zip(columns, position_units, strict=False):
         kinds[column] = entry
@@ -142,6 +142,15 @@ def _state_kinds(model: Any, columns: tuple[int, ...], size: int) -> list[tuple[
         for column, entry in zip(rest, velocity_units, strict=False):
             kinds[column] = entry
     return kinds
+
+
+def length_unit(model: Any) -> str:
+    """Return the unit that a model counts lengths in: [m], or what its custom text "length_unit" says."""
+    text = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, "length_unit")
+    if text < 0:
+        return "m"
+    start = model.text_adr[text]
+    return bytes(model.text_data[start : start + model.text_size[text]]).rstrip(b"\0").decode()
 
 
 def _control_kinds(model: Any) -> list[tuple[str, str]]:
