@@ -7,6 +7,7 @@ parameters("hopper")           what can be set, and the defaults
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import inspect
 from collections.abc import Callable
@@ -47,7 +48,8 @@ def get(name: str, **values: Any) -> Problem:
         choose(f"parameter of {name}", key, known)
     for key, value in values.items():
         _check_kind(name, key, value, known[key])
-    return _maker(name)(**values)
+    made = _maker(name)(**values)
+    return dataclasses.replace(made, name=name, parameters=known | values)
 
 
 def _maker(name: str) -> Callable[..., Problem]:

@@ -60,13 +60,11 @@ def drag_particle(
         horizon=N,
         x0=np.zeros(2),
         costs=[cost],
-        name="drag_particle",
         # The paper's accuracy is that of the gradient; the controls settle to six digits long before.
         # Open loop: under feedback the explicit drag can be driven beyond its stability into spurious minima.
         options={"tol_direction": 0.0, "step": "open-loop"},
         describe=lambda trajectory: {"position": f"{trajectory.X[-1, 0]:.4f} m of {target:g} m"},
         drawn_by=_mujoco(beta, mass, dt).scene() if engine == "function" else None,
-        parameters={"beta": beta, "target": target, "mass": mass, "engine": engine},
     )
 
 

@@ -70,13 +70,11 @@ def hopper(
         horizon=N,
         x0=np.zeros(dynamics.nx),
         costs=[Tracking(Q, dt * positive("r", r), Q_final, x_target=target)],
-        name="hopper",
         # Gauss-Newton ends slowly here (the piston's stroke is a large residual); four digits of the controls do.
         # Feedback keeps the instants of touch-down where they are while the controls change.
         options={"tol_direction": 1e-4, "step": "closed-loop"},
         describe=lambda trajectory: describe(trajectory, height),
         drawn_by=scene,
-        parameters={"height": height, "alpha": alpha, "stiffness": stiffness, "gravity": gravity, "engine": engine},
     )
 
 

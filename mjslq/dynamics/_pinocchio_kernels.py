@@ -1,0 +1,65 @@
+"""What has to happen between two calls of Pinocchio, compiled: the control law, the Euler step, the gathering.
+
+Notation
+--------
+    q (nq,), v (nv,)           where the simulation stands      a (nv,)    its acceleration
+    tau (nv,)                  joint torques: controls less damping
+    X (N + 1, nq + nv)         states so far                    U (N, nu)  controls
+    actuated (nu,)             the velocities that the controls act on
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+ABSURD = 1e10
+"""Magnitude of a position or velocity from which a simulation has blown up; MuJoCo draws the line there too."""
+
+
+@njit(cache=True)
+def control(n, plain, X, U, dq, X_ref, K, damping, actuated, tau):
+    """Write the torques of step n; under feedback (K not empty), U[n] comes in as u_ref + alpha k and is completed.
+
+    `dq` is difference(q_ref, q), looked at only where it is not `plain` subtraction.
+    """
+    nv, nu = tau.size, actuated.size
+    nq = X.shape[1] - nv
+    for j in range(nv):
+        tau[j] = -damping[j] * X[n, nq + j]
+    for i in range(nu):
+        if K.shape[0] > 0:
+            total = 0.0
+            for j in range(nv):
+                d = X[n, j] - X_ref[n, j] if plain else dq[j]
+                total += K[n, i, j] * d + K[n, i, nv + j] * (X[n, nq + j] - X_ref[n, nq + j])
+            U[n, i] -= total
+        tau[actuated[i]] += U[n, i]
+
+
+@njit(cache=True)
+def euler(n, h, plain, a, q, v, dq, X):
+    """Semi-implicit Euler: v, dq = h v, and where positions are `plain` vectors q; False when the step blew up."""
+    nq, good = q.size, True
+    for j in range(v.size):
+        v[j] += h * a[j]
+        dq[j] = h * v[j]
+        X[n + 1, nq + j] = v[j]
+        good = good and abs(v[j]) < ABSURD
+        if plain:
+            q[j] += dq[j]
+            X[n + 1, j] = q[j]
+            good = good and abs(q[j]) < ABSURD
+    return good
+
+
+@njit(cache=True)
+def gather(n, h, a_q, a_v, a_tau, damping, actuated, A, B):
+    """Velocity rows of A[n] = [h a_q, 1 + h a_v] and B[n] = h a_tau S, with a_v less a_tau D."""
+    nv = a_q.shape[0]
+    for i in range(nv):
+        for j in range(nv):
+            A[n, nv + i, j] = h * a_q[i, j]
+            A[n, nv + i, nv + j] = h * (a_v[i, j] - a_tau[i, j] * damping[j])
+        A[n, nv + i, nv + i] += 1.0
+        for j in range(actuated.size):
+            B[n, nv + i, j] = h * a_tau[i, actuated[j]]

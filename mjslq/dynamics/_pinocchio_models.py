@@ -1,0 +1,197 @@
+"""Pinocchio models of URDF files, with joints locked, and the same robot for a viewer.
+
+Continuous joints are read as plain angles, as MuJoCo has them, and not as a cosine and a sine.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from mjslq._validation import Array, as_array, choose
+from mjslq.scene import Scene
+
+if TYPE_CHECKING:
+    import mujoco
+
+ROOT = "root"
+"""Name of a floating base's joint, here and in MuJoCo."""
+LockedJoints = Sequence[str] | Mapping[str, float]
+
+_POSITIONS = {
+    "JointModelFreeFlyer": (".x", ".y", ".z", ".qx", ".qy", ".qz", ".qw"),
+    "JointModelSpherical": (".qx", ".qy", ".qz", ".qw"),
+}
+_VELOCITIES = {
+    "JointModelFreeFlyer": (".vx", ".vy", ".vz", ".wx", ".wy", ".wz"),
+    "JointModelSpherical": (".wx", ".wy", ".wz"),
+}
+
+
+def load_urdf(path: str | Path, floating_base: bool) -> Any:
+    """Read a URDF file; raises ValueError in one sentence when there is none, or Pinocchio cannot read it."""
+    file = Path(path).expanduser()
+    if not file.is_file():
+        kind = "is a folder" if file.is_dir() else "does not exist"
+        raise ValueError(f"model file {str(path)!r} {kind}; give the path of a .urdf file")
+    try:
+        root = ElementTree.parse(file).getroot()
+    except (ElementTree.ParseError, UnicodeDecodeError) as error:
+        raise ValueError(f"Pinocchio cannot make a model of {file.name}: it is no valid XML ({error})") from None
+    if root.tag != "robot":
+        raise ValueError(f"{file.name} is no URDF file: its outermost element is <{root.tag}>, not <robot>")
+    _turn_continuous(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    base = (pin.JointModelFreeFlyer(), ROOT) if floating_base else ()
+    try:
+        return pin.buildModelFromXML(text, *base)
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"Pinocchio cannot make a model of {file.name}: {reason}") from None
+
+
+def lock(model: Any, joints: LockedJoints | None) -> Any:
+    """Return `model` with joints fixed at zero, or at the positions given; ValueError lists the joints there are."""
+    positions = locked_positions(joints)
+    if not positions:
+        return model.copy()
+    q, indices = pin.neutral(model), []
+    for name, position in positions.items():
+        index = model.getJointId(choose("joint to lock", name, list(model.names)[1:]))
+        if position and (model.nqs[index], model.nvs[index]) != (1, 1):
+            raise ValueError(f"joint {name!r} can be locked only as it is: it has more than one axis")
+        if position:
+            q[model.idx_qs[index]] = position
+        indices.append(index)
+    return pin.buildReducedModel(model, indices, q)
+
+
+def locked_positions(joints: LockedJoints | None) -> dict[str, float]:
+    """Joints to lock, and where. [rad or m]"""
+    if isinstance(joints, str):
+        raise ValueError(f"locked_joints must be a sequence of names, got the text {joints!r}; write ({joints!r},)")
+    if isinstance(joints, Mapping):
+        return {name: float(as_array(f"locked_joints[{name!r}]", value, ())) for name, value in joints.items()}
+    return dict.fromkeys(joints or (), 0.0)
+
+
+def per_joint(model: Any, name: str, value: float | Mapping[str, float] | None, current: Array) -> Array:
+    """One number a dof: `value` at all joints with one axis, or at those named; `current` elsewhere. Shape (nv,)."""
+    numbers = np.array(current, dtype=np.float64)
+    single = {model.names[j]: model.idx_vs[j] for j in range(1, model.njoints) if model.nvs[j] == 1}
+    given = value if isinstance(value, Mapping) else dict.fromkeys(single if value is not None else (), value)
+    for joint, number in given.items():
+        i = single[choose(f"joint in {name}", joint, single)]
+        numbers[i] = as_array(name, number, ())  # type: ignore[arg-type]  # no None gets here
+        if numbers[i] < 0.0:
+            raise ValueError(f"{name} of joint {joint!r} must not be negative, got {number}")
+    return numbers
+
+
+def actuated_dofs(model: Any, joints: Sequence[str] | None) -> tuple[Array, tuple[str, ...]]:
+    """Velocities that the controls act on, and their names: those of `joints`, or all but a floating base's."""
+    if joints is None:
+        free = model.njoints > 1 and model.joints[1].shortname() == "JointModelFreeFlyer"
+        indices = list(range(2 if free else 1, model.njoints))
+    else:
+        indices = [model.getJointId(choose("joint to actuate", name, list(model.names)[1:])) for name in joints]
+    dofs: list[int] = []
+    names: list[str] = []
+    for j in indices:
+        dofs += range(model.idx_vs[j], model.idx_vs[j] + model.nvs[j])
+        names += [model.names[j]] if model.nvs[j] == 1 else [f"{model.names[j]}[{i}]" for i in range(model.nvs[j])]
+    if len(set(dofs)) < len(dofs):
+        raise ValueError("actuated must name each joint once")
+    return np.array(dofs, dtype=np.int64), tuple(names)
+
+
+def state_names(model: Any) -> tuple[str, ...]:
+    """Names of x: positions "elbow", "root.qx"; velocities "elbow.vel", "root.wx"."""
+    positions: list[str] = []
+    velocities: list[str] = []
+    for j in range(1, model.njoints):
+        name, kind = model.names[j], model.joints[j].shortname()
+        positions += _endings(name, _POSITIONS.get(kind), "", model.nqs[j])
+        velocities += _endings(name, _VELOCITIES.get(kind), ".vel", model.nvs[j])
+    return (*positions, *velocities)
+
+
+def refuse_massless(model: Any) -> None:
+    """Raise ValueError when a joint moves no mass, which has no acceleration."""
+    inertia = np.diagonal(pin.crba(model, model.createData(), pin.neutral(model)))
+    for j in range(1, model.njoints):
+        if not (inertia[model.idx_vs[j] : model.idx_vs[j] + model.nvs[j]] > 0.0).all():
+            raise ValueError(f"joint {model.names[j]!r} moves no mass; lock it, or give it armature")
+
+
+def viewer_scene(path: Path, model: Any, floating_base: bool, locked: dict[str, float], name: str) -> Scene | None:
+    """The robot as MuJoCo reads it, its joints matched by name; None where MuJoCo cannot read the file."""
+    import mujoco
+
+    from mjslq.dynamics._mujoco_files import compiled, urdf_spec
+
+    try:
+        spec = urdf_spec(path, floating=floating_base, motors=False)
+        lock_spec(spec, locked)
+        drawn = compiled(spec, path)
+    except ValueError:
+        return None
+    columns: list[int] = []
+    for j in range(drawn.njnt):
+        joint = drawn.joint(j).name
+        if not model.existJointName(joint):
+            return None
+        start = int(model.idx_qs[model.getJointId(joint)])
+        order = (0, 1, 2, 6, 3, 4, 5) if drawn.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE else (0,)
+        columns += [start + i for i in order]
+    data = np.empty(mujoco.mj_sizeModel(drawn), np.uint8)
+    mujoco.mj_saveModel(drawn, None, data)
+    return Scene(data.tobytes(), tuple(columns), name)
+
+
+def lock_spec(spec: mujoco.MjSpec, joints: LockedJoints | None) -> None:
+    """Weld joints of a MuJoCo specification of a URDF at zero, or at the positions given, as `lock` does."""
+    import mujoco
+
+    for name, position in locked_positions(joints).items():
+        joint = spec.joint(choose("joint to lock", name, (joint.name for joint in spec.joints)))
+        body, turn = joint.parent, np.zeros(4)
+        if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
+            along = np.zeros(3)
+            mujoco.mju_rotVecQuat(along, np.asarray(joint.axis), np.asarray(body.quat))
+            body.pos = np.asarray(body.pos) + position * along
+        elif joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+            mujoco.mju_axisAngle2Quat(turn, np.asarray(joint.axis) / np.linalg.norm(joint.axis), position)
+            turned = np.zeros(4)
+            mujoco.mju_mulQuat(turned, np.asarray(body.quat), turn)
+            body.quat = turned
+        for element in _attached(spec, name):
+            spec.delete(element)
+        spec.delete(joint)
+
+
+def _attached(spec: mujoco.MjSpec, joint: str) -> Iterable[Any]:
+    """Motors of a joint, and equalities that tie it to another."""
+    yield from [actuator for actuator in spec.actuators if actuator.target == joint]
+    yield from [equality for equality in spec.equalities if joint in (equality.name1, equality.name2)]
+
+
+def _turn_continuous(root: ElementTree.Element) -> None:
+    for joint in root.findall("joint"):
+        if joint.get("type") == "continuous":
+            joint.set("type", "revolute")
+            limit = joint.find("limit")
+            if limit is None:
+                limit = ElementTree.SubElement(joint, "limit", {"effort": "0", "velocity": "0"})
+            limit.attrib.update(lower="-1e10", upper="1e10")
+
+
+def _endings(name: str, endings: tuple[str, ...] | None, single: str, size: int) -> list[str]:
+    if endings is not None:
+        return [name + ending for ending in endings]
+    return [name + single] if size == 1 else [f"{name}{single}[{i}]" for i in range(size)]
