@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mjslq.dynamics._base import Linearization as Linearization
     from mjslq.dynamics.function import FunctionDynamics as FunctionDynamics
     from mjslq.dynamics.mujoco import MujocoDynamics as MujocoDynamics
+    from mjslq.dynamics.pinocchio import PinocchioDynamics as PinocchioDynamics
     from mjslq.problem import Problem as Problem
     from mjslq.result import IterationLog as IterationLog
     from mjslq.result import Result as Result
@@ -46,6 +47,7 @@ _HOME = {
     "IterationLog": "mjslq.result",
     "Linearization": "mjslq.dynamics._base",
     "MujocoDynamics": "mjslq.dynamics.mujoco",
+    "PinocchioDynamics": "mjslq.dynamics.pinocchio",
     "Problem": "mjslq.problem",
     "Result": "mjslq.result",
     "Scene": "mjslq.scene",

@@ -100,6 +100,8 @@ def solve(
     ValueError
         For an unknown method or option, a start of the wrong shape, or derivatives that fail their check.
     """
+    if not isinstance(problem, Problem):
+        raise ValueError(f"problem must be a mjslq.Problem, got {type(problem).__name__}")
     chosen = METHODS[choose("method", method, METHODS)]
     given = {"tol": tol, "max_iterations": max_iterations} | options
     settings = dict(problem.options) | {name: value for name, value in given.items() if value is not None}
@@ -135,7 +137,8 @@ def _stopping(settings: dict[str, Any]) -> Stopping:
         "tol_gradient": settings.pop("tol_gradient", default.tol_gradient if tol is None else tol),
     }
     for name, value in values.items():
-        if not (np.isscalar(value) and np.isfinite(value) and value >= 0.0):  # type: ignore[operator]
+        number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+        if not (number and 0.0 <= value < np.inf):
             raise ValueError(f"{name} must be a number of at least 0, got {value!r}")
     limit = settings.pop("max_iterations", default.max_iterations)
     if isinstance(limit, bool) or not isinstance(limit, (int, np.integer)) or limit < 0:

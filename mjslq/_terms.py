@@ -6,12 +6,13 @@ Each evaluates and expands over the whole horizon at once; the notation is that 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from mjslq._complex import complex_step, refused_complex
 from mjslq._rotation import conjugate, inverse_right_jacobian, log, product
 from mjslq._validation import Array
 from mjslq.dynamics._base import Dynamics, Linearization
@@ -165,6 +166,8 @@ class PointwiseTerm(BoundTerm):
 
 
 class ResidualTerm(PointwiseTerm):
+    """s_n/2 r'W r with r(x_n, u_n, t_n)."""
+
     def __init__(
         self, dynamics: Dynamics, r: Callable[..., Any], jacobian: Callable[..., Any] | None, W: Array, scales: Array
     ) -> None:
@@ -179,19 +182,26 @@ class ResidualTerm(PointwiseTerm):
         return total
 
     def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
-        for n, scale, z, t in self._knots(trajectory):
-            if self._jacobian is None:
-                J = _complex_step(partial(self._value, t=t), z)
-            else:
-                J = np.hstack(self._jacobian(z[: self._nx], z[self._nx :], t))
-            WJ = scale * self._W @ J
-            self._add(n, z[: self._nx], WJ.T @ self._value(z, t), J.T @ WJ, into)
+        with refused_complex("r(x, u, t)", "jacobian="):
+            for n, scale, z, t in self._knots(trajectory):
+                J = self._derivative(z, t)
+                WJ = scale * self._W @ J
+                self._add(n, z[: self._nx], WJ.T @ self._value(z, t), J.T @ WJ, into)
 
     def _value(self, z: Array, t: float) -> Array:
         return np.atleast_1d(np.asarray(self._r(z[: self._nx], z[self._nx :], t)))
 
+    def _derivative(self, z: Array, t: float) -> Array:
+        """dr/d(x, u). Shape (m, nx + nu)."""
+        if self._jacobian is None:
+            return complex_step(partial(self._value, t=t), z)
+        parts, m = self._jacobian(z[: self._nx], z[self._nx :], t), len(self._W)
+        return np.hstack(_checked("jacobian", parts, [(m, self._nx), (m, z.size - self._nx)]))
+
 
 class FunctionTerm(PointwiseTerm):
+    """s_n l(x_n, u_n, t_n)."""
+
     def __init__(self, dynamics: Dynamics, term: Function, scales: Array) -> None:
         super().__init__(dynamics, scales)
         self._term = term
@@ -200,21 +210,27 @@ class FunctionTerm(PointwiseTerm):
         return float(sum(scale * self._value(z, t)[0] for _, scale, z, t in self._knots(trajectory)))
 
     def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
-        for n, scale, z, t in self._knots(trajectory):
-            hessian = _positive_part(0.5 * (H := self._hessian(z, t)) + 0.5 * H.T)
-            self._add(n, z[: self._nx], scale * self._gradient(z, t), scale * hessian, into)
+        with refused_complex("l(x, u, t)", "gradient= and hessian="):
+            for n, scale, z, t in self._knots(trajectory):
+                H = self._hessian(z, t)
+                hessian = _positive_part(0.5 * (H + H.T))
+                self._add(n, z[: self._nx], scale * self._gradient(z, t), scale * hessian, into)
 
     def _value(self, z: Array, t: float) -> Array:
         return np.asarray(self._term.l(z[: self._nx], z[self._nx :], t)).reshape(1)
 
     def _gradient(self, z: Array, t: float) -> Array:
-        if self._term.gradient is not None:
-            return np.concatenate(self._term.gradient(z[: self._nx], z[self._nx :], t))
-        return _complex_step(lambda w: self._value(w, t), z)[0]
+        """dl/d(x, u). Shape (nx + nu,)."""
+        if self._term.gradient is None:
+            return complex_step(partial(self._value, t=t), z)[0]
+        parts = self._term.gradient(z[: self._nx], z[self._nx :], t)
+        return np.concatenate(_checked("gradient", parts, [(self._nx,), (z.size - self._nx,)]))
 
     def _hessian(self, z: Array, t: float) -> Array:
+        """Second derivatives by (x, u). Shape (nx + nu, nx + nu)."""
         if self._term.hessian is not None:
-            return np.asarray(self._term.hessian(z[: self._nx], z[self._nx :], t), dtype=np.float64)
+            value = self._term.hessian(z[: self._nx], z[self._nx :], t)
+            return _checked("hessian", (value,), [(z.size, z.size)])[0]
         columns = []
         for i in range(z.size):
             d = np.zeros(z.size)
@@ -223,14 +239,15 @@ class FunctionTerm(PointwiseTerm):
         return np.stack(columns, axis=-1)
 
 
-def _complex_step(function: Callable[[Array], Array], z: Array) -> Array:
-    """Jacobian of `function` at z, exact to rounding where it is analytic. Shape (m, len(z))."""
-    tiny, columns = 1e-40, []
-    for i in range(z.size):
-        w = z.astype(np.complex128)
-        w[i] += 1j * tiny
-        columns.append(function(w).imag / tiny)  # type: ignore[arg-type]  # complex on purpose
-    return np.stack(columns, axis=-1)
+def _checked(name: str, parts: Sequence[Any], shapes: list[tuple[int, ...]]) -> list[Array]:
+    """Return what a user's derivative gave, as arrays of the right shapes."""
+    arrays = [np.asarray(part, dtype=np.float64) for part in parts]
+    given = [array.shape for array in arrays]
+    if given != shapes:
+        raise ValueError(
+            f"{name} must return shape {' and '.join(map(str, shapes))}, got {' and '.join(map(str, given))}"
+        )
+    return arrays
 
 
 def _positive_part(H: Array) -> Array:

@@ -22,7 +22,10 @@ def as_array(name: str, value: ArrayLike, shape: Sequence[int | str] | None = No
     A string in `shape` names a size that may be anything; it only serves the message.
     """
     try:
-        array = np.ascontiguousarray(value, dtype=np.float64)
+        given = np.asarray(value)
+        if given.dtype.kind == "c":
+            raise TypeError("complex")
+        array = np.ascontiguousarray(given, dtype=np.float64)
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be an array of numbers, got {_describe(value)}") from None
     if np.ndim(value) == 0:  # ascontiguousarray lifts scalars to one dimension
@@ -81,11 +84,11 @@ def per_step_vectors(name: str, value: ArrayLike, steps: int, size: int) -> Arra
 def choose(kind: str, given: str, names: Iterable[str]) -> str:
     """Return `given` if it is one of `names`; otherwise raise, listing the names and the nearest of them."""
     known = list(names)
-    if given in known:
+    if isinstance(given, str) and given in known:
         return given
-    near = difflib.get_close_matches(str(given), known, n=1)
+    near = difflib.get_close_matches(given, known, n=1) if isinstance(given, str) else []
     hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise ValueError(f"unknown {kind} {given!r}; there are: {', '.join(known) or 'none'}{hint}")
+    raise ValueError(f"unknown {kind} {_short(given)}; there are: {', '.join(known) or 'none'}{hint}")
 
 
 def positive(name: str, value: float) -> float:
@@ -97,6 +100,14 @@ def positive(name: str, value: float) -> float:
     if not (np.isfinite(number) and number > 0.0):
         raise ValueError(f"{name} must be positive and finite, got {value}")
     return number
+
+
+def finite(name: str, value: float) -> float:
+    """Return `value` as a finite float."""
+    array = as_array(name, value)
+    if array.ndim:
+        raise ValueError(f"{name} must be a number, got shape {array.shape}")
+    return float(array)
 
 
 def count(name: str, value: Any, at_least: int = 1) -> int:
@@ -127,5 +138,9 @@ def _refuse_first(name: str, constant: bool, wrong: NDArray[np.bool_], kind: str
 
 
 def _describe(value: Any) -> str:
-    text = repr(value)
-    return f"{type(value).__name__} {text if len(text) <= 60 else text[:57] + '...'}"
+    return f"{type(value).__name__} {_short(value)}"
+
+
+def _short(value: Any) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else text[:57] + "..."

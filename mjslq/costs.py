@@ -155,10 +155,9 @@ class Residual(CostTerm):
     def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
         """See `CostTerm.bind`."""
         scales = _scales(self.when, dynamics, N)
-        try:
-            value = np.asarray(self.r(np.zeros(dynamics.nx), np.zeros(dynamics.nu), 0.0))
-        except (IndexError, ValueError, TypeError) as error:
-            raise ValueError(f"r(x, u, t) fails for x of shape ({dynamics.nx},): {error}") from None
+        value = _at_origin("r(x, u, t)", self.r, dynamics)
+        if value.ndim > 1:
+            raise ValueError(f"r(x, u, t) must return a number or numbers in a row (m,), got shape {value.shape}")
         weight = per_step_matrices("weight", self.weight, 1, value.size, definite=False)[0]
         return (ResidualTerm(dynamics, self.r, self.jacobian, weight, scales),)
 
@@ -179,13 +178,19 @@ class Function(CostTerm):
     def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
         """See `CostTerm.bind`."""
         scales = _scales(self.when, dynamics, N)
-        try:
-            value = np.asarray(self.l(np.zeros(dynamics.nx), np.zeros(dynamics.nu), 0.0))
-        except (IndexError, ValueError, TypeError) as error:
-            raise ValueError(f"l(x, u, t) fails for x of shape ({dynamics.nx},): {error}") from None
+        value = _at_origin("l(x, u, t)", self.l, dynamics)
         if value.size != 1:
             raise ValueError(f"l(x, u, t) must return a number, got shape {value.shape}")
         return (FunctionTerm(dynamics, self, scales),)
+
+
+def _at_origin(name: str, function: Callable[..., Any], dynamics: Dynamics) -> Array:
+    """What a user's function returns at the origin, where it need not be defined but has its shape."""
+    try:
+        with np.errstate(all="ignore"):
+            return np.asarray(function(np.zeros(dynamics.nx), np.zeros(dynamics.nu), 0.0))
+    except (IndexError, ValueError, TypeError) as error:
+        raise ValueError(f"{name} fails for x of shape ({dynamics.nx},): {error}") from None
 
 
 def _scales(when: str, dynamics: Dynamics, N: int) -> Array:

@@ -58,11 +58,13 @@ class Problem:
         dynamics, N = self.dynamics, count("horizon", self.horizon)
         dynamics.steps(N)
         store = object.__setattr__  # the way to fill a frozen record
-        store(self, "x0", frozen(dynamics.checked_start(self.x0)))
+        store(self, "x0", frozen(np.array(dynamics.checked_start(self.x0))))
         U0 = np.zeros(dynamics.nu) if self.U0 is None else as_array("U0", self.U0)
         if U0.shape not in ((dynamics.nu,), (N, dynamics.nu)):
             raise ValueError(f"U0 must have shape ({dynamics.nu},) or ({N}, {dynamics.nu}), got {U0.shape}")
         store(self, "U0", frozen(np.array(np.broadcast_to(U0, (N, dynamics.nu)), order="C")))
+        if not isinstance(self.costs, (CostTerm, Sequence)):
+            raise ValueError(f"costs must be a list of terms of mjslq.costs, got {type(self.costs).__name__}")
         terms = [self.costs] if isinstance(self.costs, CostTerm) else list(self.costs)
         if not terms:
             raise ValueError("costs must name at least one term, or there is nothing to minimize")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
@@ -116,22 +115,28 @@ def load(path: str | os.PathLike[str]) -> Result:
 
     Raises FileNotFoundError when there is no such file, ValueError when it is something else than a result.
     """
+    name = os.fspath(path)
     try:
-        with np.load(path, allow_pickle=False) as data:
-            if "header" not in data:
-                raise ValueError(f"{os.fspath(path)} is an npz file, but not a result saved by mjslq")
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as data:
             header = json.loads(str(data["header"]))
-            arrays = {name: data[name] for name in data.files}
+            if header["format"] > FORMAT:
+                raise _LaterFormat(
+                    f"{name} has format {header['format']}, this version of mjslq reads up to {FORMAT}; upgrade it"
+                )
+            return _result_of(header, {entry: data[entry] for entry in data.files})
     except FileNotFoundError:
-        raise FileNotFoundError(f"there is no file {os.fspath(path)}") from None
-    except (OSError, EOFError, zipfile.BadZipFile, json.JSONDecodeError, ValueError) as error:
-        if isinstance(error, ValueError) and "not a result" in str(error):
-            raise
-        raise ValueError(f"{os.fspath(path)} is not a result saved by mjslq ({error})") from None
-    if header["format"] > FORMAT:
-        raise ValueError(
-            f"{os.fspath(path)} has format {header['format']}, this version of mjslq reads up to {FORMAT}; upgrade it"
-        )
+        raise FileNotFoundError(f"there is no file {name}") from None
+    except _LaterFormat:
+        raise
+    except Exception as error:  # whatever a foreign or damaged file makes the readers of zip, npy and JSON raise
+        raise ValueError(f"{name} is not a result saved by mjslq ({' '.join(str(error).split())})") from None
+
+
+class _LaterFormat(ValueError):
+    """The file comes from a later version."""
+
+
+def _result_of(header: dict[str, Any], arrays: dict[str, Array]) -> Result:
     scene = None
     if "scene_model" in arrays:
         columns = tuple(int(i) for i in arrays["scene_columns"])

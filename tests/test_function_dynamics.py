@@ -1,5 +1,8 @@
 """FunctionDynamics against plain loops: integrators, Jacobians, outputs, divergence, feedback."""
 
+import itertools
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -114,7 +117,7 @@ def test_order_of_the_integrator(integrator, order):
 
     exact = end("rk4", 4096)
     errors = [np.linalg.norm(end(integrator, N) - exact) for N in (16, 32, 64)]
-    for coarse, fine in zip(errors, errors[1:], strict=False):
+    for coarse, fine in itertools.pairwise(errors):
         assert abs(np.log2(coarse / fine) - order) < 0.15
 
 
@@ -174,8 +177,12 @@ def plain_differences(dynamics, trajectory):
     """Centred differences of single steps."""
     e, A, B = 1e-6, [], []
     for n, (x, u) in enumerate(zip(trajectory.X, trajectory.U, strict=False)):
-        A.append([(dynamics.step(x + d, u, n)[0] - dynamics.step(x - d, u, n)[0]) / (2 * e) for d in e * np.eye(len(x))])
-        B.append([(dynamics.step(x, u + d, n)[0] - dynamics.step(x, u - d, n)[0]) / (2 * e) for d in e * np.eye(len(u))])
+        A.append(
+            [(dynamics.step(x + d, u, n)[0] - dynamics.step(x - d, u, n)[0]) / (2 * e) for d in e * np.eye(len(x))]
+        )
+        B.append(
+            [(dynamics.step(x, u + d, n)[0] - dynamics.step(x, u - d, n)[0]) / (2 * e) for d in e * np.eye(len(u))]
+        )
     return np.transpose(A, (0, 2, 1)), np.transpose(B, (0, 2, 1))
 
 
@@ -228,7 +235,7 @@ def test_derivative_check_names_the_wrong_entry(drive):
 
     def wrong(x, u, t):
         trajectory = right.rollout(x, u[None])
-        A, B = right.linearize(trajectory)[:2]
+        A = right.linearize(trajectory).A
         A[0, 1, 0] += 0.5 * (t > 0.4)
         return A[0], np.array([[0.0, 0.0], [0.05, 0.05 * 0.3 * np.cos(2 * t)]])
 
@@ -409,6 +416,14 @@ def test_a_given_jacobian_of_the_wrong_shape_is_refused(A, B):
     dynamics = FunctionDynamics(**ok, jacobian=lambda x, u, t: (A, B))
     with pytest.raises(ValueError, match=r"jacobian must return .*\(2, 2\) and \(2, 1\)"):
         dynamics.linearize(dynamics.rollout(np.zeros(2), np.zeros((3, 1))))
+
+
+def test_a_function_that_takes_no_complex_numbers_is_told_what_to_do():
+    """The default differentiates by complex steps, which math.sin refuses."""
+    dynamics = FunctionDynamics(lambda x, u: [x[1], u[0] - math.sin(x[0])], 2, 1, 0.1)
+    trajectory = dynamics.rollout([0.5, 0.0], np.zeros((3, 1)))
+    with pytest.raises(ValueError, match="finite-difference"):
+        dynamics.linearize(trajectory)
 
 
 # Ownership

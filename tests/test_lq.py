@@ -297,7 +297,8 @@ def test_adjoint_is_the_finite_difference_of_the_total_cost(size, seed):
 
 # The dense kernels, below and above the size at which they turn to BLAS
 
-shapes = [(1, 1, 1), (3, 2, 5), (7, 14, 14), (16, 16, 16), (16, 16, 17), (40, 40, 6), (30, 40, 20)]
+edge = round(_dense.SMALL ** (1 / 3))
+shapes = [(1, 1, 1), (3, 2, 5), (edge, edge, edge), (edge, edge, edge + 1), (7, 14, 14), (40, 40, 6), (30, 40, 20)]
 
 
 def test_shapes_lie_on_both_sides_of_the_threshold():

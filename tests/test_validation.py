@@ -108,7 +108,9 @@ def test_rounding_is_no_asymmetry_and_no_negative_eigenvalue():
 def test_vectors_in_every_form_mean_the_same():
     for form in (2.0, [2.0, 2.0], np.full((5, 2), 2.0)):
         np.testing.assert_array_equal(per_step_vectors("u", form, 5, 2), np.full((5, 2), 2.0))
-    with pytest.raises(ValueError, match=r"u must be a number, a vector \(2,\) or one vector a step \(5, 2\), got shape"):
+    with pytest.raises(
+        ValueError, match=r"u must be a number, a vector \(2,\) or one vector a step \(5, 2\), got shape"
+    ):
         per_step_vectors("u", np.zeros((2, 5)), 5, 2)
 
 
@@ -123,13 +125,13 @@ def test_choose_lists_the_names_and_the_nearest():
         choose("engine", "mujco", ["function", "mujoco"])
     with pytest.raises(ValueError, match=r"^unknown engine 'zzz'; there are: function, mujoco$"):
         choose("engine", "zzz", ["function", "mujoco"])
-    with pytest.raises(ValueError, match="there are: none$"):
+    with pytest.raises(ValueError, match=r"there are: none$"):
         choose("engine", "zzz", [])
 
 
 @pytest.mark.parametrize("given", [None, 3, ["mujoco"], np.zeros(2)])
 def test_choose_refuses_what_is_no_name(given):
-    with pytest.raises(ValueError, match="unknown engine .*; there are: function, mujoco"):
+    with pytest.raises(ValueError, match=r"unknown engine .*; there are: function, mujoco"):
         choose("engine", given, ["function", "mujoco"])
 
 

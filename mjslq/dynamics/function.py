@@ -25,6 +25,7 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from numpy.typing import ArrayLike
 
+from mjslq._complex import refused_complex
 from mjslq._validation import Array, as_array, choose, count
 from mjslq.dynamics import _function_kernels as kernels
 from mjslq.dynamics._base import Dynamics, Linearization
@@ -97,9 +98,9 @@ class FunctionDynamics(Dynamics):
         steps = as_array("dt", dt)
         if steps.ndim > 1 or (steps <= 0.0).any():
             raise ValueError(f"dt must be a positive number, or one per step, got shape {steps.shape}: {dt!r}")
-        self.dt = steps if steps.ndim else float(steps)
+        self.dt = np.array(steps) if steps.ndim else float(steps)
         self.integrator = choose("integrator", integrator, _INTEGRATORS)
-        self.parameters = as_array("parameters", parameters, ("size",))
+        self.parameters = np.array(as_array("parameters", parameters, ("size",)))
         self._nv = self.nx // 2 if nv is None else count("nv", nv)
         if self._nv > self.nx:
             raise ValueError(f"nv must be at most nx = {self.nx}, got {nv}")
@@ -109,12 +110,14 @@ class FunctionDynamics(Dynamics):
         else:
             self._given_jacobian = None
             self.jacobian = choose("jacobian", jacobian, ("complex-step", "finite-difference"))
+        if not callable(f):
+            raise ValueError(f"f must be a function of (x, u), (x, u, t) or (x, u, t, p), got {f!r}")
         self.compiled = isinstance(f, Dispatcher)
         self._f = _with_all_arguments(f, self.compiled)
         self._outputs = outputs if outputs is None else _with_time(outputs)
         self._scene = scene
         self._probe()
-        self.ny = 0 if self._outputs is None else self._read(np.zeros(nx), np.zeros(nu), 0.0).size
+        self.ny = self._probe_outputs()
         self.state_names = _names("state_names", state_names, "x", self.nx)
         self.control_names = _names("control_names", control_names, "u", self.nu)
         self.output_names = _names("output_names", output_names, "y", self.ny)
@@ -155,11 +158,11 @@ class FunctionDynamics(Dynamics):
         A, B = np.empty((N, self.nx, self.nx)), np.empty((N, self.nx, self.nu))
         if self._given_jacobian is not None:
             for n, t in enumerate(self._grid(N)[0]):
-                A[n], B[n] = self._given_jacobian(X[n], U[n], t)
+                A[n], B[n] = self._checked_jacobian(*self._given_jacobian(X[n], U[n], t))
         else:
             kind = "complex" if self.jacobian == "complex-step" else "differences"
             name = f"linearize_{kind}" + ("_compiled" if self.compiled else "")
-            with np.errstate(all="ignore"):
+            with np.errstate(all="ignore"), refused_complex("f", 'jacobian="finite-difference"'):
                 getattr(kernels, name)(*self._arguments(N), X, U, A, B)
         return Linearization(A, B, *self._linearize_outputs(X, U))
 
@@ -219,9 +222,32 @@ class FunctionDynamics(Dynamics):
             for n in range(N + 1):
                 function = _Reading(self._read)
                 one = (function, kernels.MAP, 0, times[n : n + 1], np.ones(1), self.parameters)
-                differentiate(*one, X[n : n + 1], held[n : n + 1], C[n : n + 1], D[n : n + 1])
+                with np.errstate(all="ignore"), refused_complex("outputs", 'jacobian="finite-difference"'):
+                    differentiate(*one, X[n : n + 1], held[n : n + 1], C[n : n + 1], D[n : n + 1])
             D[N] = 0.0
         return C, D
+
+    def _checked_jacobian(self, A: Any, B: Any) -> tuple[Any, Any]:
+        given = f"{np.shape(A)} and {np.shape(B)}"
+        wanted = f"{(self.nx, self.nx)} and {(self.nx, self.nu)}"
+        if given != wanted:
+            raise ValueError(f"jacobian must return A and B of shapes {wanted}, got {given}")
+        return A, B
+
+    def _probe_outputs(self) -> int:
+        """Number of outputs, by a call at the origin."""
+        if self._outputs is None:
+            return 0
+        try:
+            with np.errstate(all="ignore"):
+                y = self._read(np.zeros(self.nx), np.zeros(self.nu), 0.0)
+        except (IndexError, ValueError, TypeError) as error:
+            raise ValueError(
+                f"outputs fails for x of shape ({self.nx},) and u of shape ({self.nu},): {error}"
+            ) from None
+        if y.ndim != 1:
+            raise ValueError(f"outputs must return numbers in a row (ny,), got shape {y.shape}")
+        return y.size
 
     def _probe(self) -> None:
         """Call f once, so that a wrong shape is reported here and not from inside a rollout."""
@@ -229,7 +255,7 @@ class FunctionDynamics(Dynamics):
         try:
             with np.errstate(all="ignore"):
                 value = np.asarray(function(np.zeros(self.nx), np.zeros(self.nu), 0.0, self.parameters))
-        except (IndexError, ValueError) as error:
+        except (IndexError, ValueError, TypeError) as error:
             raise ValueError(f"f fails for x of shape ({self.nx},) and u of shape ({self.nu},): {error}") from None
         if value.shape != (self.nx,):
             raise ValueError(f"f must return shape ({self.nx},), got {value.shape}")

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from mjslq._validation import choose, count, positive
+from mjslq._validation import choose, count, finite, positive
 from mjslq.costs import Tracking
 from mjslq.dynamics._base import Dynamics
 from mjslq.dynamics.function import FunctionDynamics, Integrator
@@ -64,7 +64,7 @@ def hopper(
     Q, Q_final, target = (np.zeros(dynamics.nx) for _ in range(3))
     Q[1] = dt * positive("q", q)
     Q_final[0], Q_final[2] = positive("q_final", q_final), 2.0  # (66) has no 1/2 before ydot^2
-    target[0] = height
+    target[0] = finite("height", height)
     return Problem(
         dynamics=dynamics,
         horizon=N,

@@ -25,6 +25,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
 from scipy.optimize import minimize_scalar
 
 from mjslq.solvers._iterate import Iterate
@@ -62,6 +63,11 @@ class Trial:
     def cost(self, alpha: float) -> float:
         """phi(alpha); infinite where the rollout diverges."""
         return self(alpha).cost
+
+    def descends(self, alpha: float, c: float) -> bool:
+        """Sufficient decrease, phi(alpha) <= phi(0) + c alpha phi'(0), by more than nothing."""
+        cost = self.cost(alpha)
+        return cost < self.here.cost and cost <= self.here.cost + c * alpha * self.slope
 
     def slope_at(self, alpha: float) -> float:
         """phi'(alpha), by a difference unless the step offers better."""
@@ -110,7 +116,7 @@ def armijo(trial: Trial) -> float | None:
     """Backtracking by halves."""
     alpha = 1.0
     while alpha > SMALLEST:
-        if trial.cost(alpha) <= trial.here.cost + C1 * alpha * trial.slope:
+        if trial.descends(alpha, C1):
             return alpha
         alpha *= 0.5
     return None
@@ -120,10 +126,9 @@ def goldstein(trial: Trial) -> float | None:
     """Neither too long nor too short, by bisection; alpha = 1 may be short."""
     low, high, alpha = 0.0, 1.0, 1.0
     for _ in range(60):
-        change = trial.cost(alpha) - trial.here.cost
-        if change > C1_GOLDSTEIN * alpha * trial.slope:
+        if not trial.descends(alpha, C1_GOLDSTEIN):
             high = alpha
-        elif change < (1.0 - C1_GOLDSTEIN) * alpha * trial.slope and alpha < 1.0:
+        elif trial.cost(alpha) < trial.here.cost + (1.0 - C1_GOLDSTEIN) * alpha * trial.slope and alpha < 1.0:
             low = alpha
         else:
             return alpha
@@ -137,7 +142,7 @@ def wolfe(trial: Trial) -> float | None:
     """Strong Wolfe conditions by bisection; alpha = 1 may end with a steep slope, there is no going further."""
     low, high, alpha = 0.0, 1.0, 1.0
     for _ in range(60):
-        if trial.cost(alpha) > trial.here.cost + C1 * alpha * trial.slope:
+        if not trial.descends(alpha, C1):
             high = alpha
         else:
             slope = trial.slope_at(alpha)
@@ -183,7 +188,8 @@ def exact(trial: Trial) -> float | None:
         return armijo(trial)
     upper = grid[max(least - 1, 0)]
     lower = grid[least + 1] if least + 1 < len(grid) else 0.0
-    minimize_scalar(trial.cost, bounds=(lower, upper), method="bounded", options={"xatol": 1e-6 * upper})
+    with np.errstate(invalid="ignore"):  # a rollout that diverges within the bounds costs infinity
+        minimize_scalar(trial.cost, bounds=(lower, upper), method="bounded", options={"xatol": 1e-6 * upper})
     return trial.best()
 
 

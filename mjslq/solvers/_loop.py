@@ -18,6 +18,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import NamedTuple, TextIO
 
@@ -118,12 +119,17 @@ def descend(
     outcome = Outcome(Status.DIVERGED, start, np.zeros((start.problem.horizon, dynamics.nu, dynamics.ndx)))
     if not np.isfinite(start.cost):
         at = start.trajectory.diverged_at
-        outcome.remark = f"It left the finite numbers at step {at}." if at is not None else "Its cost is not finite."
+        outcome.remark = "The first rollout's cost is not finite."
+        if at is not None:
+            outcome.remark = f"The first rollout blew up at step {at}."
         return outcome
     try:
         _descend(outcome, direction, step, stopping, monitor)
     except KeyboardInterrupt:
         outcome.status = Status.INTERRUPTED
+    if outcome.status in (Status.INTERRUPTED, Status.STOPPED):  # the gains are those of the iterate before
+        with suppress(NotPositiveDefinite):
+            outcome.gains = direction(outcome.iterate).K
     return outcome
 
 
@@ -160,10 +166,11 @@ def _descend(
             iteration, here.cost, here.gradient_norm, length, slope,
             0.0 if accepted is None else accepted.alpha, evaluations, monitor.seconds, ahead.multiplier,
         )  # fmt: skip
+        if accepted is not None:
+            outcome.iterate = accepted.iterate  # before anyone is told: telling may be interrupted
         stop = monitor.record(entry, here.trajectory)
         if accepted is None:
             return
-        outcome.iterate = accepted.iterate
         if stop:
             outcome.status = Status.STOPPED
             return

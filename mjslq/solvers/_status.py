@@ -32,8 +32,8 @@ _MESSAGES = {
         "derivatives (check_derivatives=True), smooth the contacts, or accept this point if its gradient is small."
     ),
     Status.DIVERGED: (
-        "The first rollout blew up, so there is nothing to improve on. Start from controls that keep the system "
-        "bounded (U0), or shorten the timestep."
+        "There is no finite cost or derivative to go on from. Start from controls that keep the system bounded (U0), "
+        "shorten the timestep, or check the cost."
     ),
     Status.INTERRUPTED: "Interrupted; this is the best iterate so far.",
     Status.STOPPED: "The callback asked to stop; this is the best iterate so far.",

@@ -49,6 +49,8 @@ def slq(
     """
     choose("line_search", line_search, SEARCHES)
     choose("step", step, STEPS)
+    if not isinstance(acceleration, bool):
+        raise ValueError(f"acceleration must be True or False, got {acceleration!r}")
     if step == "auto":
         step = "closed-loop" if start.problem.dynamics.wants_feedback else "open-loop"
     change: Array | None = None  # of the controls, by the step before

@@ -1,0 +1,481 @@
+"""SLQ: the paper's theorems, the methods multiplied by problems, and every way in which a solve can end."""
+
+import io
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numba import njit
+
+import mjslq
+from mjslq import FunctionDynamics, Problem, Status, costs, problems, solve
+from mjslq.problems.drag_particle import OPTIMAL_COSTS
+from mjslq.problems.hopper import phases
+from mjslq.solvers._iterate import Iterate
+from mjslq.solvers._linesearch import SEARCHES
+from mjslq.solvers.slq import gauss_newton
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@njit
+def pendulum_equations(x, u):
+    out = np.empty_like(x)
+    out[0] = x[1]
+    out[1] = u[0] - 9.81 * np.sin(x[0]) - 0.1 * x[1]
+    return out
+
+
+PENDULUM = FunctionDynamics(pendulum_equations, 2, 1, 0.05)
+DOUBLE_INTEGRATOR = FunctionDynamics(lambda x, u: np.stack([x[1], u[0]]), 2, 1, 0.1)
+
+
+def pendulum(x0=(0.0, 0.0), N=40, dynamics=PENDULUM, **options):
+    """Raise the pendulum to an angle at which gravity still pulls."""
+    terms = [costs.Control(0.1), costs.State([200.0, 20.0], [2.0, 0.0], "terminal")]
+    return Problem(dynamics, N, x0, terms, name="pendulum", options=options)
+
+
+def linear():
+    return Problem(DOUBLE_INTEGRATOR, 20, [1.0, 0.0], [costs.Control(0.1), costs.State(1.0, [0.0, 0.0], "always")])
+
+
+def drag(beta=0.1):
+    return problems.get("drag_particle", beta=beta)
+
+
+# Theorems 1 and 3
+
+
+def random_nonlinear(seed):
+    """A random smooth system, random tracking costs with per-step weights, and random controls."""
+    rng = np.random.default_rng(seed)
+    nx, nu, N = rng.integers(1, 5), rng.integers(1, 4), rng.integers(1, 9)
+    A, B, C, D, E = (rng.standard_normal((nx, size)) / np.sqrt(size) for size in (nx, nu, nx, nu, nx))
+
+    def f(x, u):
+        return 0.7 * (A @ x) + B @ u + np.sin(C @ x + D @ u) + 0.1 * (E @ x) * x[0]
+
+    root_Q, root_R = rng.standard_normal((N + 1, nx, nx)), rng.standard_normal((N, nu, nu)) + 2.0 * np.eye(nu)
+    root_Q[:, :, 0] = 0.0  # semidefinite
+    Q, R = root_Q.transpose(0, 2, 1) @ root_Q, root_R.transpose(0, 2, 1) @ root_R
+    x_o, u_o = rng.standard_normal((N + 1, nx)), rng.standard_normal((N, nu))
+    problem = Problem(
+        FunctionDynamics(f, int(nx), int(nu), 1.0, integrator="map"), int(N), 0.5 * rng.standard_normal(nx),
+        [costs.Tracking(Q[:N], R, Q[N], x_target=x_o, u_target=u_o)],
+    )  # fmt: skip
+
+    def residuals(U):
+        """(49): all residuals as a function of the stacked controls, rolled out in a plain loop."""
+        x, parts = problem.x0.astype(U.dtype), []
+        for n in range(N):
+            parts += [root_Q[n] @ (x - x_o[n]), root_R[n] @ (U[n] - u_o[n])]
+            x = f(x, U[n])
+        return np.concatenate([*parts, root_Q[N] @ (x - x_o[N])])
+
+    return problem, 0.5 * rng.standard_normal((N, nu)), Q, R, residuals
+
+
+def complex_jacobian(residuals, U):
+    columns = []
+    for i in range(U.size):
+        probe = U.astype(complex)
+        probe.flat[i] += 1e-30j
+        columns.append(residuals(probe).imag / 1e-30)
+    return np.stack(columns, axis=-1)
+
+
+@given(seeds)
+def test_theorem_1_the_direction_descends_by_identity_34(seed):
+    problem, U, Q, R, _ = random_nonlinear(seed)
+    here = Iterate(problem, problem.rollout(U))
+    direction = gauss_newton(here)
+    A, B, _, _ = here.linearization
+    x, total = np.zeros(A.shape[1]), 0.0
+    for n, u in enumerate(direction.U):  # (30)
+        total += x @ Q[n] @ x + u @ R[n] @ u
+        x = A[n] @ x + B[n] @ u
+    total += x @ Q[-1] @ x
+    assert here.slope(direction) == pytest.approx(-total, rel=1e-8)
+    assert here.slope(direction) < 0.0
+    shorter = [Iterate(problem, problem.rollout(U + a * direction.U)).cost for a in 0.5 ** np.arange(30)]
+    assert min(shorter) < here.cost
+
+
+@given(seeds)
+def test_theorem_3_the_direction_is_gauss_newtons(seed):
+    problem, U, _, _, residuals = random_nonlinear(seed)
+    here = Iterate(problem, problem.rollout(U))
+    G, F = complex_jacobian(residuals, U), residuals(U)
+    assert here.cost == pytest.approx(0.5 * F @ F, rel=1e-12)
+    np.testing.assert_allclose(here.gradient.ravel(), G.T @ F, rtol=1e-9, atol=1e-11 * np.abs(G.T @ F).max())
+    dense = np.linalg.lstsq(G, -F)[0]
+    np.testing.assert_allclose(gauss_newton(here).U.ravel(), dense, rtol=1e-7, atol=1e-9 * np.abs(dense).max())
+
+
+# Methods times problems
+
+
+@pytest.mark.parametrize("step", ["open-loop", "closed-loop"])
+@pytest.mark.parametrize("line_search", sorted(SEARCHES))
+@pytest.mark.parametrize("make", [drag, linear, pendulum])
+def test_every_search_converges_on_every_problem(make, line_search, step):
+    problem = make()
+    result = solve(problem, line_search=line_search, step=step)
+    assert result.status is Status.CONVERGED and result.success, result.message
+    reference = solve(problem)
+    assert result.cost == pytest.approx(reference.cost, rel=1e-7)
+    J = np.array([entry.cost for entry in result.log])
+    assert (np.diff(J) <= 2e-8 * np.abs(J[:-1])).all()  # what the roundoff rule may let through
+    assert np.linalg.norm(problem.gradient(result.trajectory)) == pytest.approx(result.gradient_norm)
+    assert result.options["line_search"] == line_search and result.options["step"] == step
+
+
+@pytest.mark.parametrize("beta, iterations", [(0.01, 9), (0.05, 20), (0.1, 21), (0.5, 35), (1.0, 60)])
+def test_drag_particle_of_table_1(beta, iterations):
+    result = solve(drag(beta))
+    assert result.status is Status.CONVERGED, result.message
+    assert result.iterations <= iterations
+    assert result.gradient_norm < 1e-6
+    assert result.cost == pytest.approx(OPTIMAL_COSTS[beta], rel=2e-9)
+    assert result.trajectory.X[-1, 0] == pytest.approx(10.0, abs=0.1)
+
+
+@pytest.mark.parametrize("engine", ["function", "mujoco"])
+@pytest.mark.parametrize("height", [1.0, 5.0, 10.0, 20.0, 30.0, 50.0])
+def test_hopper_reaches_every_height_of_the_paper(height, engine):
+    result = solve(problems.get("hopper", height=height, engine=engine))
+    assert result.status is Status.CONVERGED, result.message
+    assert result.iterations <= 166
+    assert result.trajectory.X[-1, 0] == pytest.approx(height, rel=0.01)
+    sequence = phases(result.trajectory.X)
+    assert "stance flight stance" in " ".join(sequence) or "flight stance flight" in " ".join(sequence)
+    assert sequence[-1] == "flight"
+    assert result.gains.shape == (100, 1, result.trajectory.X.shape[1])
+
+
+@settings(max_examples=10)
+@given(seeds)
+def test_linear_dynamics_take_one_step_to_the_dense_optimum(seed):
+    rng = np.random.default_rng(seed)
+    nx, nu, N = 3, 2, 10
+    A, B = rng.standard_normal((nx, nx)) / 2.0, rng.standard_normal((nx, nu))
+    dynamics = FunctionDynamics(lambda x, u: A @ x + B @ u, nx, nu, 1.0, integrator="map")
+    x0, x_o, u_o = rng.standard_normal(nx), rng.standard_normal(nx), rng.standard_normal(nu)
+    problem = Problem(dynamics, N, x0, [costs.Tracking(1.0, 0.5, 9.0, x_target=x_o, u_target=u_o)])
+    result = solve(problem, U0=rng.standard_normal((N, nu)))
+    S, s = np.zeros(((N + 1) * nx, N * nu)), np.concatenate([np.linalg.matrix_power(A, n) @ x0 for n in range(N + 1)])
+    for n in range(N):
+        for m in range(n + 1, N + 1):
+            S[m * nx : (m + 1) * nx, n * nu : (n + 1) * nu] = np.linalg.matrix_power(A, m - n - 1) @ B
+    root_Q, root_R = np.repeat([1.0] * N + [3.0], nx), np.sqrt(0.5)
+    G = np.vstack([root_Q[:, None] * S, root_R * np.eye(N * nu)])
+    F = np.concatenate([root_Q * (s - np.tile(x_o, N + 1)), -root_R * np.tile(u_o, N)])
+    dense = np.linalg.lstsq(G, -F)[0]
+    assert result.status is Status.CONVERGED and result.iterations == 1
+    np.testing.assert_allclose(result.trajectory.U.ravel(), dense, rtol=1e-8, atol=1e-10)
+    assert result.cost == pytest.approx(0.5 * np.sum((G @ dense + F) ** 2), rel=1e-12)
+
+
+@pytest.mark.parametrize("make", [drag, linear, pendulum])
+def test_at_an_optimum_there_is_nothing_to_do(make):
+    problem = make()
+    optimum = solve(problem)
+    again = solve(problem, U0=optimum.trajectory.U)
+    assert again.status is Status.CONVERGED and again.iterations <= 1
+    assert again.cost == pytest.approx(optimum.cost, rel=1e-9)
+
+
+def test_equal_solves_give_equal_results():
+    first, second = solve(pendulum()), solve(pendulum())
+    np.testing.assert_array_equal(first.trajectory.X, second.trajectory.X)
+    np.testing.assert_array_equal(first.gains, second.gains)
+
+
+def test_acceleration_only_ever_lowers_the_cost_and_can_be_switched_off():
+    problem = problems.get("hopper", height=10.0, engine="function")
+    with_it, without = solve(problem), solve(problem, acceleration=False, max_iterations=30)
+    for result in (with_it, without):
+        J = np.array([entry.cost for entry in result.log])
+        assert (np.diff(J) <= 2e-8 * J[:-1]).all()
+    assert with_it.options["acceleration"] is True and without.options["acceleration"] is False
+    assert without.log[1].cost == with_it.log[1].cost  # nothing to go along before the second step
+
+
+def test_indefinite_models_get_a_multiplier():
+    """Without any cost on one control its Hessian is singular, and a minimizer needs help."""
+    dynamics = FunctionDynamics(lambda x, u: np.stack([x[1], u[0] - np.sin(x[0])]), 2, 2, 0.1)
+    problem = Problem(dynamics, 10, [0.0, 0.0], [costs.Function(lambda x, u, t: 0.5 * u[0] ** 2 + (x[0] - 1.0) ** 2)])
+    result = solve(problem)
+    assert result.log[0].multiplier > 0.0
+    assert result.status is Status.CONVERGED
+    assert not result.trajectory.U[:, 1].any()
+
+
+# Gains
+
+
+def test_gains_are_optimal_on_a_linear_system():
+    """From another start, the closed loop is the optimum of the problem from there."""
+    optimum = solve(linear())
+    x0 = [1.4, -0.6]
+    followed = DOUBLE_INTEGRATOR.rollout_feedback(optimum.trajectory, optimum.gains, np.zeros((20, 1)), x0=x0)
+    problem = Problem(DOUBLE_INTEGRATOR, 20, x0, linear().costs)
+    np.testing.assert_allclose(followed.U, solve(problem).trajectory.U, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("push", [(0.2, 0.0), (-0.2, 0.0), (0.0, 0.5), (0.0, -0.5)])
+def test_gains_hold_a_pendulum_that_starts_elsewhere(push):
+    optimum = solve(pendulum())
+    problem = pendulum(x0=push)
+    closed = PENDULUM.rollout_feedback(optimum.trajectory, optimum.gains, np.zeros((40, 1)), x0=push)
+    best = solve(problem, U0=optimum.trajectory.U).cost
+    assert best <= problem.cost(closed) < problem.cost(problem.rollout(optimum.trajectory.U))
+    assert problem.cost(closed) < 1.1 * best
+
+
+# How a solve ends
+
+
+def test_max_iterations():
+    result = solve(pendulum(), max_iterations=2)
+    assert result.status is Status.MAX_ITERATIONS and not result.success
+    assert result.iterations == 2 and len(result.log) == 3 and len(result.iterates) == 3
+    assert "Raise max_iterations" in result.message
+    assert result.cost == result.log[-1].cost == pendulum().cost(result.trajectory)
+
+
+def test_no_iterations_at_all_evaluates_the_start():
+    result = solve(pendulum(), max_iterations=0)
+    assert result.status is Status.MAX_ITERATIONS and result.iterations == 0 and len(result.log) == 1
+    np.testing.assert_array_equal(result.trajectory.X, pendulum().rollout(np.zeros((40, 1))).X)
+
+
+@pytest.mark.parametrize(
+    "f, knot",
+    [(lambda x, u: x * x + u, 7), (lambda x, u: np.where(x.real > 1e3, np.nan, 10.0 * x), 5)],
+    ids=["blow-up", "nan"],
+)
+def test_a_start_that_diverges_is_a_status(f, knot):
+    dynamics = FunctionDynamics(f, 1, 1, 1.0, integrator="map")
+    result = solve(Problem(dynamics, 20, [10.0] if knot == 5 else [2.0], [costs.Control(1.0)]))
+    assert result.status is Status.DIVERGED and not result.success
+    assert result.cost == math.inf and result.gradient_norm == math.inf and result.iterations == 0
+    assert result.trajectory.diverged_at is not None
+    assert f"step {result.trajectory.diverged_at}" in result.message and "U0" in result.message
+
+
+def test_a_cost_that_is_not_finite_is_a_status():
+    problem = Problem(DOUBLE_INTEGRATOR, 5, [1.0, 0.0], [costs.Control(1.0), costs.Function(lambda x, u, t: math.inf)])
+    result = solve(problem)
+    assert result.status is Status.DIVERGED and "cost is not finite" in result.message
+    assert "rollout blew up" not in result.message  # it did not
+
+
+def test_derivatives_that_are_not_finite_are_a_status():
+    def jacobian(x, u, t):
+        return np.full((2, 2), np.nan), np.zeros((2, 1))
+
+    dynamics = FunctionDynamics(pendulum_equations, 2, 1, 0.05, jacobian=jacobian)
+    result = solve(pendulum(dynamics=dynamics))
+    assert result.status is Status.DIVERGED
+    assert "derivatives along the trajectory are not finite" in result.message
+    assert "rollout blew up" not in result.message  # it did not
+    assert np.isfinite(result.cost) and np.isfinite(result.trajectory.X).all()
+
+
+@pytest.mark.parametrize("line_search", sorted(SEARCHES))
+def test_a_wrong_jacobian_ends_in_a_step_too_small(line_search):
+    def jacobian(x, u, t):
+        return np.eye(2), np.array([[0.0], [-0.1]])  # of the wrong sign
+
+    dynamics = FunctionDynamics(DOUBLE_INTEGRATOR._f, 2, 1, 0.1, jacobian=jacobian)
+    problem = Problem(dynamics, 10, [0.0, 0.0], [costs.Control(1e-3), costs.State([0.0, 1.0], [0.0, 1.0], "terminal")])
+    result = solve(problem, line_search=line_search, max_iterations=20)
+    assert result.status is Status.STEP_TOO_SMALL
+    assert result.iterations == 0
+    assert "check_derivatives=True" in result.message
+
+
+def stop_at(iteration, how):
+    def callback(entry):
+        if entry.iteration == iteration:
+            if how is KeyboardInterrupt:
+                raise KeyboardInterrupt
+            return how
+        return None
+
+    return callback
+
+
+def test_callback_stops_by_returning_true():
+    result = solve(pendulum(), callback=stop_at(2, True))
+    assert result.status is Status.STOPPED
+    assert "callback" in result.message
+    assert_consistent(result, pendulum())
+
+
+def test_callback_sees_every_entry_and_nothing_else_stops():
+    entries = []
+    result = solve(pendulum(), callback=lambda entry: entries.append(entry))
+    assert result.success and tuple(entries) == result.log
+    assert [entry.iteration for entry in entries] == list(range(len(entries)))
+
+
+@pytest.mark.parametrize("iteration", [0, 3])
+def test_ctrl_c_in_the_callback_keeps_the_step_just_taken(iteration):
+    result = solve(pendulum(), callback=stop_at(iteration, KeyboardInterrupt))
+    assert result.status is Status.INTERRUPTED
+    assert_consistent(result, pendulum())
+
+
+@pytest.mark.parametrize("calls", [400, 700, 1500, 4000])
+def test_ctrl_c_in_the_model_keeps_the_best_iterate(calls):
+    left = [math.inf]
+
+    def f(x, u):
+        left[0] -= 1
+        if left[0] == 0:
+            raise KeyboardInterrupt
+        return np.stack([x[1], u[0] - 9.81 * np.sin(x[0]) - 0.1 * x[1]])
+
+    problem = pendulum(dynamics=FunctionDynamics(f, 2, 1, 0.05))
+    left[0] = calls
+    result = solve(problem)
+    assert result.status is Status.INTERRUPTED and "best iterate so far" in result.message
+    left[0] = math.inf
+    assert result.cost == problem.cost(result.trajectory) <= min((entry.cost for entry in result.log), default=math.inf)
+    assert_consistent(result, problem)
+
+
+def assert_consistent(result, problem):
+    """What came out is the iterate after as many steps as it says, with its own cost, gradient and gains."""
+    assert result.cost == problem.cost(result.trajectory)
+    twin = solve(problem, max_iterations=result.iterations)
+    assert result.cost == pytest.approx(twin.cost, rel=1e-12)
+    np.testing.assert_allclose(result.trajectory.U, twin.trajectory.U, rtol=1e-9, atol=1e-12)
+    assert result.gradient_norm == pytest.approx(np.linalg.norm(problem.gradient(result.trajectory)), rel=1e-9)
+    if result.log:  # else it ended before the first sweep, and has no gains
+        np.testing.assert_allclose(result.gains, twin.gains, rtol=1e-7, atol=1e-9)
+
+
+def test_log_describes_each_iterate():
+    problem = pendulum()
+    result = solve(problem)
+    assert len(result.log) == len(result.iterates) == result.iterations + 1
+    for entry, trajectory in zip(result.log, result.iterates, strict=True):
+        assert entry.cost == problem.cost(trajectory)
+        assert entry.gradient_norm == pytest.approx(np.linalg.norm(problem.gradient(trajectory)))
+        assert entry.slope < 0.0
+    assert result.log[-1].alpha == 0.0 and all(0.0 < entry.alpha <= 1.0 for entry in result.log[:-1])
+    assert all(entry.evaluations >= 1 for entry in result.log[:-1])
+    seconds = [entry.seconds for entry in result.log] + [result.seconds]
+    assert seconds == sorted(seconds)
+    assert solve(problem, keep_iterates=False).iterates == ()
+
+
+def test_tolerances_can_be_set_apart():
+    problem = pendulum()
+    loose = solve(problem, tol=1e-1)
+    tight = solve(problem, tol_direction=0.0, tol_gradient=1e-7)
+    assert loose.success and tight.success and loose.iterations < tight.iterations
+    assert tight.gradient_norm <= 1e-7
+    last = solve(problem, tol_gradient=0.0, tol_direction=1e-3).log[-1]
+    assert last.direction_norm <= 1e-3 * np.linalg.norm(solve(problem).trajectory.U) * 1.01
+
+
+def test_problem_options_hold_unless_told_otherwise():
+    problem = pendulum(max_iterations=1)
+    assert solve(problem).iterations == 1
+    assert solve(problem, max_iterations=2).iterations == 2
+
+
+# What is printed
+
+
+def test_silent_means_silent(capfd):
+    solve(pendulum())
+    solve(pendulum(), max_iterations=1)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_verbose_prints_aligned_lines(capsys):
+    result = solve(drag(0.5), verbose=1)
+    captured = capsys.readouterr()
+    lines = captured.out.splitlines()
+    table, last = lines[:-1], lines[-1]
+    assert last == f"converged: {result.message}" and captured.err == ""
+    assert len({len(line) for line in table}) == 1
+    headers = [line for line in table if "cost" in line]
+    rows = [line for line in table if "cost" not in line]
+    assert len(rows) == len(result.log) and len(headers) == 1 + (len(rows) - 1) // 20
+    ends = [i + len(name) for name in ("cost", "|gradient|", "|direction|", "step") for i in [headers[0].index(name)]]
+    for line, entry in zip(rows, result.log, strict=True):
+        assert all(line[end - 1] != " " and line[end] == " " for end in ends)
+        words = line.split()
+        assert int(words[0]) == entry.iteration
+        assert float(words[1]) == pytest.approx(entry.cost, rel=1e-8)
+        assert float(words[2]) == pytest.approx(entry.gradient_norm, rel=1e-2)
+
+
+def test_verbose_goes_where_it_is_told(capsys):
+    stream = io.StringIO()
+    solve(linear(), verbose=1, stream=stream)
+    assert "converged" in stream.getvalue() and capsys.readouterr().out == ""
+
+
+# Checks before the start
+
+
+@pytest.mark.parametrize("name, entry", [("A", (1, 0)), ("B", (1, 0))])
+def test_derivative_check_refuses_a_wrong_jacobian(name, entry):
+    def jacobian(x, u, t):
+        right = PENDULUM.linearize(PENDULUM.rollout(x, u[None]))
+        matrices = {"A": right.A[0], "B": right.B[0]}
+        matrices[name][entry] *= 1.05
+        return matrices["A"], matrices["B"]
+
+    dynamics = FunctionDynamics(pendulum_equations, 2, 1, 0.05, jacobian=jacobian)
+    with pytest.raises(ValueError, match=rf"derivative check: {name}\[\d+, {entry[0]}, {entry[1]}\] is off by"):
+        solve(pendulum(dynamics=dynamics), check_derivatives=True)
+
+
+@pytest.mark.parametrize("make", [drag, linear, pendulum])
+def test_derivative_check_lets_right_ones_through(make):
+    assert solve(make(), check_derivatives=True, max_iterations=1).iterations == 1
+
+
+@pytest.mark.parametrize(
+    "change, sentence",
+    [
+        ({"method": "sql"}, r"unknown method 'sql'; there are: slq.*; did you mean 'slq'\?"),
+        ({"linesearch": "armijo"}, "unknown option for method 'slq' 'linesearch'; there are: line_search, step, .*tol"),
+        ({"linesearch": "armijo"}, r"did you mean 'line_search'\?"),
+        ({"line_search": "armja"}, "unknown line_search 'armja'; there are: quadratic-fit, armijo, goldstein, wolfe"),
+        ({"step": "loop"}, "unknown step 'loop'; there are: auto, open-loop, closed-loop"),
+        ({"acceleration": "no"}, "acceleration must be"),
+        ({"tol": -1.0}, "tol.* must be a number of at least 0, got -1.0"),
+        ({"tol": math.nan}, "tol.* must be a number of at least 0, got nan"),
+        ({"tol": "small"}, "tol.* must be a number of at least 0, got 'small'"),
+        ({"tol_gradient": math.inf}, "tol_gradient must be a number of at least 0, got inf"),
+        ({"max_iterations": -1}, "max_iterations must be a whole number of at least 0, got -1"),
+        ({"max_iterations": 2.5}, "max_iterations must be a whole number of at least 0, got 2.5"),
+        ({"U0": np.zeros((3, 1))}, r"U0 must have shape \(40, 1\) or \(1,\), got \(3, 1\)"),
+        ({"U0": np.full((40, 1), math.nan)}, r"U0 must be finite, but U0\[0, 0\] is nan"),
+        ({"problem": PENDULUM}, "problem must be a"),
+    ],
+)  # fmt: skip
+def test_wrong_arguments_are_refused_in_one_sentence(change, sentence):
+    with pytest.raises(ValueError, match=sentence) as caught:
+        solve(**({"problem": pendulum()} | change))
+    assert "\n" not in str(caught.value)
+
+
+def test_methods_tell_what_they_take():
+    methods = mjslq.methods()
+    assert methods["slq"].options == {"line_search": "quadratic-fit", "step": "auto", "acceleration": True}
+    assert methods["slq"].summary and methods["slq"].needs
+    methods.clear()  # a copy
+    assert "slq" in mjslq.methods()
