@@ -41,9 +41,24 @@ def wavy(steepness, curvature, height, frequency, base):
     return phi, derivative
 
 
-waves = st.builds(
-    wavy,
-    st.floats(0.1, 10.0), st.floats(-1.0, 1e4), st.floats(0.0, 2.0), st.floats(0.1, 30.0), st.floats(-5.0, 5.0),
+def wall(where, stiffness):
+    """A straight way down that ends at a wall: too long a step fails, half of it may be too short."""
+
+    def phi(a):
+        return -a + stiffness * max(a - where, 0.0) ** 2
+
+    def derivative(a):
+        return -1.0 + 2.0 * stiffness * max(a - where, 0.0)
+
+    return phi, derivative
+
+
+waves = st.one_of(
+    st.builds(
+        wavy,
+        st.floats(0.1, 10.0), st.floats(-1.0, 1e4), st.floats(0.0, 2.0), st.floats(0.1, 30.0), st.floats(-5.0, 5.0),
+    ),
+    st.builds(wall, st.floats(0.01, 0.99), st.floats(1.0, 1e5)),
 )  # fmt: skip
 
 

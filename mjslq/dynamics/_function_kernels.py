@@ -2,14 +2,18 @@
 
 One text, two executions: every function here runs as plain Python when the user's function is plain Python,
 and is compiled (by numba, once, kept on disk) for functions that are compiled themselves. `register_jitable`
-makes that possible; the kernels at the end are the compiled entry points, with the user's function passed as a
-pointer, so that a new function does not compile the kernels again.
+makes that possible; `compiled` gives the compiled entry points, with the user's function passed as a pointer, so that
+a new function does not compile them again.
 
 Notation: f(x, u, t, p) is the user's function, h the length of a step, nv the number of velocities, which are
 the last entries of the state.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
 
 import numpy as np
 from numba import njit, types
@@ -119,8 +123,6 @@ def linearize_differences(f, integrator, nv, times, steps, p, X, U, A, B):
 
 
 _vector, _matrix, _cube = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
-_read_vector = types.Array(types.float64, 1, "C", readonly=True)
-_read_matrix = types.Array(types.float64, 2, "C", readonly=True)
 REAL = types.FunctionType(_vector(_vector, _vector, types.float64, _vector))
 """Type of a compiled f for real arguments."""
 COMPLEX = types.FunctionType(
@@ -128,15 +130,17 @@ COMPLEX = types.FunctionType(
 )
 """Type of a compiled f for complex arguments."""
 _common = (types.int64, types.int64, _vector, _vector, _vector)
+_SIGNATURES = {
+    rollout: types.int64(REAL, *_common, _matrix, _matrix),
+    rollout_feedback: types.int64(
+        REAL, *_common, _matrix, _matrix, _cube, _matrix, types.float64, _matrix, _matrix
+    ),
+    linearize_complex: types.void(COMPLEX, *_common, _matrix, _matrix, _cube, _cube),
+    linearize_differences: types.void(REAL, *_common, _matrix, _matrix, _cube, _cube),
+}  # fmt: skip
 
-rollout_compiled = njit(types.int64(REAL, *_common, _matrix, _matrix), cache=True, nogil=True)(rollout)
-rollout_feedback_compiled = njit(
-    types.int64(REAL, *_common, _matrix, _matrix, _cube, _matrix, types.float64, _matrix, _matrix),
-    cache=True, nogil=True,
-)(rollout_feedback)  # fmt: skip
-linearize_complex_compiled = njit(
-    types.void(COMPLEX, *_common, _matrix, _matrix, _cube, _cube), cache=True, nogil=True
-)(linearize_complex)
-linearize_differences_compiled = njit(
-    types.void(REAL, *_common, _matrix, _matrix, _cube, _cube), cache=True, nogil=True
-)(linearize_differences)
+
+@cache
+def compiled(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the compiled form of one of the four functions above, compiled when first asked for."""
+    return njit(_SIGNATURES[kernel], cache=True, nogil=True)(kernel)

@@ -134,7 +134,7 @@ class FunctionDynamics(Dynamics):
         controls = self.checked_controls(U)
         X = np.empty((len(controls) + 1, self.nx))
         X[0] = self.checked_start(x0)
-        roll = kernels.rollout_compiled if self.compiled else kernels.rollout
+        roll = self._kernel(kernels.rollout)
         with np.errstate(all="ignore"):
             bad = roll(*self._arguments(len(controls)), controls, X)
         return self._trajectory(X, controls, bad)
@@ -145,7 +145,7 @@ class FunctionDynamics(Dynamics):
         """Simulate under u_ref + alpha k - K (x - x_ref); see `Dynamics.rollout_feedback`."""
         X, U = np.empty_like(reference.X), np.empty_like(reference.U)
         X[0] = reference.X[0] if x0 is None else self.checked_start(x0)
-        roll = kernels.rollout_feedback_compiled if self.compiled else kernels.rollout_feedback
+        roll = self._kernel(kernels.rollout_feedback)
         fixed = (np.array(reference.X), np.array(reference.U))  # writable, as the compiled signature wants
         with np.errstate(all="ignore"):
             bad = roll(*self._arguments(len(U)), *fixed, K, k, alpha, X, U)
@@ -160,10 +160,10 @@ class FunctionDynamics(Dynamics):
             for n, t in enumerate(self._grid(N)[0]):
                 A[n], B[n] = self._checked_jacobian(*self._given_jacobian(X[n], U[n], t))
         else:
-            kind = "complex" if self.jacobian == "complex-step" else "differences"
-            name = f"linearize_{kind}" + ("_compiled" if self.compiled else "")
+            by_complex = self.jacobian == "complex-step"
+            differentiate = self._kernel(kernels.linearize_complex if by_complex else kernels.linearize_differences)
             with np.errstate(all="ignore"), refused_complex("f", 'jacobian="finite-difference"'):
-                getattr(kernels, name)(*self._arguments(N), X, U, A, B)
+                differentiate(*self._arguments(N), X, U, A, B)
         return Linearization(A, B, *self._linearize_outputs(X, U))
 
     def scene(self) -> Scene | None:
@@ -180,6 +180,9 @@ class FunctionDynamics(Dynamics):
     @property
     def _code(self) -> int:
         return _INTEGRATORS[self.integrator]
+
+    def _kernel(self, plain: Callable[..., Any]) -> Callable[..., Any]:
+        return kernels.compiled(plain) if self.compiled else plain
 
     def _grid(self, N: int) -> tuple[Array, Array]:
         """Times at which the steps begin, and their lengths. Shapes (N,), (N,)."""
