@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,8 +18,8 @@ from mjslq._validation import Array
 from mjslq.dynamics._base import Dynamics, Linearization
 from mjslq.trajectory import Trajectory
 
-if TYPE_CHECKING:
-    from mjslq.costs import Function
+Derivative = Callable[..., Any] | None
+"""A user's derivative, where one is given."""
 
 
 class Expansion(NamedTuple):
@@ -169,7 +169,7 @@ class ResidualTerm(PointwiseTerm):
     """s_n/2 r'W r with r(x_n, u_n, t_n)."""
 
     def __init__(
-        self, dynamics: Dynamics, r: Callable[..., Any], jacobian: Callable[..., Any] | None, W: Array, scales: Array
+        self, dynamics: Dynamics, r: Callable[..., Any], jacobian: Derivative, W: Array, scales: Array
     ) -> None:
         super().__init__(dynamics, scales)
         self._r, self._jacobian, self._W = r, jacobian, W
@@ -202,9 +202,11 @@ class ResidualTerm(PointwiseTerm):
 class FunctionTerm(PointwiseTerm):
     """s_n l(x_n, u_n, t_n)."""
 
-    def __init__(self, dynamics: Dynamics, term: Function, scales: Array) -> None:
+    def __init__(
+        self, dynamics: Dynamics, cost: Callable[..., Any], gradient: Derivative, hessian: Derivative, scales: Array
+    ) -> None:
         super().__init__(dynamics, scales)
-        self._term = term
+        self._l, self._given_gradient, self._given_hessian = cost, gradient, hessian
 
     def cost(self, trajectory: Trajectory) -> float:
         return float(sum(scale * self._value(z, t)[0] for _, scale, z, t in self._knots(trajectory)))
@@ -217,19 +219,19 @@ class FunctionTerm(PointwiseTerm):
                 self._add(n, z[: self._nx], scale * self._gradient(z, t), scale * hessian, into)
 
     def _value(self, z: Array, t: float) -> Array:
-        return np.asarray(self._term.l(z[: self._nx], z[self._nx :], t)).reshape(1)
+        return np.asarray(self._l(z[: self._nx], z[self._nx :], t)).reshape(1)
 
     def _gradient(self, z: Array, t: float) -> Array:
         """dl/d(x, u). Shape (nx + nu,)."""
-        if self._term.gradient is None:
+        if self._given_gradient is None:
             return complex_step(partial(self._value, t=t), z)[0]
-        parts = self._term.gradient(z[: self._nx], z[self._nx :], t)
+        parts = self._given_gradient(z[: self._nx], z[self._nx :], t)
         return np.concatenate(_checked("gradient", parts, [(self._nx,), (z.size - self._nx,)]))
 
     def _hessian(self, z: Array, t: float) -> Array:
         """Second derivatives by (x, u). Shape (nx + nu, nx + nu)."""
-        if self._term.hessian is not None:
-            value = self._term.hessian(z[: self._nx], z[self._nx :], t)
+        if self._given_hessian is not None:
+            value = self._given_hessian(z[: self._nx], z[self._nx :], t)
             return _checked("hessian", (value,), [(z.size, z.size)])[0]
         columns = []
         for i in range(z.size):

@@ -181,7 +181,7 @@ class Function(CostTerm):
         value = _at_origin("l(x, u, t)", self.l, dynamics)
         if value.size != 1:
             raise ValueError(f"l(x, u, t) must return a number, got shape {value.shape}")
-        return (FunctionTerm(dynamics, self, scales),)
+        return (FunctionTerm(dynamics, self.l, self.gradient, self.hessian, scales),)
 
 
 def _at_origin(name: str, function: Callable[..., Any], dynamics: Dynamics) -> Array:
