@@ -21,15 +21,10 @@ def as_array(name: str, value: ArrayLike, shape: Sequence[int | str] | None = No
 
     A string in `shape` names a size that may be anything; it only serves the message.
     """
-    try:
-        given = np.asarray(value)
-        if given.dtype.kind == "c":
-            raise TypeError("complex")
-        array = np.ascontiguousarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be an array of numbers, got {_describe(value)}") from None
-    if np.ndim(value) == 0:  # ascontiguousarray lifts scalars to one dimension
-        array = array.reshape(())
+    if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.flags.c_contiguous:
+        array: Array = value  # what engines pass on, thousands of times a second
+    else:
+        array = _converted(name, value)
     if shape is not None and not _fits(array.shape, shape):
         expected = "(" + ", ".join(str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
         raise ValueError(f"{name} must have shape {expected}, got {array.shape}")
@@ -38,6 +33,17 @@ def as_array(name: str, value: ArrayLike, shape: Sequence[int | str] | None = No
         index = f"[{', '.join(str(i) for i in where)}]" if array.ndim else ""
         raise ValueError(f"{name} must be finite, but {name}{index} is {array[tuple(where)]}")
     return array
+
+
+def _converted(name: str, value: ArrayLike) -> Array:
+    try:
+        given = np.asarray(value)
+        if given.dtype.kind == "c":
+            raise TypeError("complex")
+        array = np.ascontiguousarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be an array of numbers, got {_describe(value)}") from None
+    return array.reshape(given.shape)  # ascontiguousarray lifts scalars to one dimension
 
 
 def per_step_matrices(name: str, value: ArrayLike, steps: int, size: int, *, definite: bool) -> Array:
@@ -126,7 +132,7 @@ def frozen(array: Array) -> Array:
 
 def _fits(given: tuple[int, ...], expected: Sequence[int | str]) -> bool:
     return len(given) == len(expected) and all(
-        isinstance(want, str) or want == have for have, want in zip(given, expected, strict=True)
+        have == want or isinstance(want, str) for have, want in zip(given, expected, strict=True)
     )
 
 

@@ -53,8 +53,17 @@ def euler(n, h, plain, a, q, v, dq, X):
 
 
 @njit(cache=True)
-def gather(n, h, a_q, a_v, a_tau, damping, actuated, A, B):
-    """Velocity rows of A[n] = [h a_q, 1 + h a_v] and B[n] = h a_tau S, with a_v less a_tau D."""
+def euler_and_control(n, h, a, q, v, dq, X, U, X_ref, K, damping, actuated, tau):
+    """The Euler step n of plain positions, then the torques of step n + 1: one call instead of two."""
+    good = euler(n, h, True, a, q, v, dq, X)
+    if good and n + 1 < U.shape[0]:
+        control(n + 1, True, X, U, dq, X_ref, K, damping, actuated, tau)
+    return good
+
+
+@njit(cache=True)
+def gather(n, h, a_q, a_v, a_tau, J, damping, actuated, A, B, J_all):
+    """Velocity rows of A[n] = [h a_q, 1 + h a_v] and B[n] = h a_tau S, with a_v less a_tau D; J into J_all[n]."""
     nv = a_q.shape[0]
     for i in range(nv):
         for j in range(nv):
@@ -63,3 +72,17 @@ def gather(n, h, a_q, a_v, a_tau, damping, actuated, A, B):
         A[n, nv + i, nv + i] += 1.0
         for j in range(actuated.size):
             B[n, nv + i, j] = h * a_tau[i, actuated[j]]
+        for j in range(6):
+            J_all[n, i, j] = J[i, j]
+
+
+@njit(cache=True)
+def position_jacobian(J, p, moved_by, C):
+    """C = J_v + J_w x p in the columns of the dofs that move the point p (M, 3). Shapes (M, nv, 6), (M, 3, nv)."""
+    for n in range(J.shape[0]):
+        for i in range(J.shape[1]):
+            if moved_by[i]:
+                v, w = J[n, i, :3], J[n, i, 3:]
+                C[n, 0, i] = v[0] + w[1] * p[n, 2] - w[2] * p[n, 1]
+                C[n, 1, i] = v[1] + w[2] * p[n, 0] - w[0] * p[n, 2]
+                C[n, 2, i] = v[2] + w[0] * p[n, 1] - w[1] * p[n, 0]

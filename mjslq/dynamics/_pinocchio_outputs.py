@@ -25,6 +25,7 @@ import pinocchio as pin
 
 from mjslq._rotation import product
 from mjslq._validation import Array
+from mjslq.dynamics import _pinocchio_kernels as kernels
 from mjslq.dynamics._base import Output
 
 ORIENTATION = ".orientation"
@@ -89,32 +90,30 @@ class Readings:
         """A name for each entry of y."""
         return tuple(f"{r.name}[{i}]" for r in self.all for i in range(r.columns.stop - r.columns.start))
 
-    def read(self, placements: dict[int, tuple[Array, Array]]) -> Array:
-        """y at all knots, given (R, t) of each joint. Shape (M, ny)."""
-        parts = []
+    def read(self, placements: dict[int, tuple[Array, Array]], knots: int) -> Array:
+        """Y at all knots, given (R, t) of each joint. Shape (knots, ny)."""
+        Y = np.empty((knots, self.ny))
         for r in self.all:
             R, t = placements[r.joint]
-            parts.append(quaternions(R @ r.rotation) if r.orientation else R @ r.position + t)
-        return np.concatenate(parts, axis=-1)
+            Y[:, r.columns] = quaternions(R @ r.rotation) if r.orientation else R @ r.position + t
+        return Y
 
     def jacobian(self, placements: dict[int, tuple[Array, Array]], J: Array) -> Array:
         """dy/dq at all knots. Shape (M, ny, nv)."""
-        C = np.empty((len(J), self.ny, J.shape[1]))
-        J_v, J_w = J[..., :3].swapaxes(1, 2), J[..., 3:].swapaxes(1, 2)
+        C = np.zeros((len(J), self.ny, J.shape[1]))
         for r in self.all:
             R, t = placements[r.joint]
             if r.orientation:
                 turned = R @ r.rotation
                 q = quaternions(turned)
                 half = np.stack([0.5 * product(q, np.broadcast_to(e, q.shape)) for e in np.eye(4)[1:]], axis=-1)
-                C[:, r.columns] = half @ (turned.swapaxes(1, 2) @ J_w)
+                C[:, r.columns] = half @ (J[..., 3:] @ turned).swapaxes(1, 2) * r.moved_by
             else:
-                C[:, r.columns] = J_v - skew(R @ r.position + t) @ J_w
-            C[:, r.columns] *= r.moved_by
+                kernels.position_jacobian(J, R @ r.position + t, r.moved_by, C[:, r.columns])
         return C
 
     def read_plainly(self, model: Any, data: Any, q: Array) -> Array:
-        """y at one configuration, by Pinocchio's own frame placements. Shape (ny,)."""
+        """Y at one configuration, by Pinocchio's own frame placements. Shape (ny,)."""
         pin.framesForwardKinematics(model, data, q)
         y = np.zeros(self.ny)
         for r in self.all:
@@ -141,14 +140,6 @@ def quaternions(R: Array) -> Array:
     q: Array = np.take_along_axis(squares, largest[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     return np.where(q[..., :1] < 0.0, -q, q)
-
-
-def skew(p: Array) -> Array:
-    """Matrices of the cross product p x. Shape (..., 3) -> (..., 3, 3)."""
-    S = np.zeros((*p.shape, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        S[..., j, i], S[..., i, j] = p[..., k], -p[..., k]
-    return S
 
 
 def _frames_by_name(model: Any) -> dict[str, int]:

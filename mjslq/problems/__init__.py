@@ -19,7 +19,10 @@ from mjslq.problem import Problem
 # Modules are imported when their problem is asked for: one may need an engine that another does not.
 _CATALOGUE = {
     "drag_particle": "a particle pushed through quadratic drag (Sideris and Bobrow 2005, section 4.1)",
+    "solo12_stand": "the quadruped Solo12 rises from a crouch and stands",
+    "g1_reach": "the humanoid G1 reaches for a point, standing on both feet",
     "hopper": "a gas-actuated hopping machine that reaches a height (Sideris and Bobrow 2005, section 4.2)",
+    "panda_reach": "a seven-joint arm that reaches for a point, on MuJoCo or Pinocchio",
 }
 
 
@@ -59,6 +62,6 @@ def _maker(name: str) -> Callable[..., Problem]:
 
 def _check_kind(problem: str, key: str, value: Any, default: Any) -> None:
     """A text where a number belongs (and the reverse) is refused here, for all problems alike."""
-    if isinstance(default, str) != isinstance(value, str):
+    if isinstance(default, str) != isinstance(value, str) or value is None:
         kind = "a text" if isinstance(default, str) else "a number"
         raise ValueError(f"{problem}: {key} must be {kind} such as {default!r}, got {value!r}")

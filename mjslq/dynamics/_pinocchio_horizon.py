@@ -1,0 +1,188 @@
+"""Whole horizons of a Pinocchio model: a loop over Pinocchio's own calls, and all the rest for all knots at once.
+
+Notation
+--------
+    x = (q, v)                                          h = dt
+    a(q, v, u) = ABA(q, v, S u - D v)                   S picks the actuated dofs, D is the joints' damping
+    v_{n+1} = v_n + h a(q_n, v_n, u_n)                  semi-implicit Euler
+    q_{n+1} = q_n (+) h v_{n+1}
+    J0, J1                                              derivatives of q (+) d by q and by d
+
+    dv_{n+1} = h a_q dq + (1 + h a_v) dv + h a_u du     rows of A and B
+    dq_{n+1} = J0 dq + h J1 dv_{n+1}
+
+Damping is implicit, as in MuJoCo's Euler: v_{n+1} = v_n + h (M + h D)^-1 (S u - D v_n - c). That is the line above
+with h D added to the armature, so it takes no other algorithm.
+
+Pinocchio's results are looked at through views of its own memory, made once: a call to ABA and what belongs to it
+cost a few microseconds a step.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from mjslq._validation import Array
+from mjslq.dynamics import _pinocchio_kernels as kernels
+from mjslq.dynamics._base import Linearization
+from mjslq.dynamics._pinocchio_outputs import Readings
+from mjslq.trajectory import Trajectory
+
+
+class Recorder:
+    """Placements of joints along a horizon, noted from Pinocchio's memory knot by knot."""
+
+    def __init__(self, memory: dict[int, tuple[Array, Array]], knots: int) -> None:
+        self.placements = {j: (np.zeros((knots, 3, 3)), np.zeros((knots, 3))) for j in memory}
+        """R and t of each joint. Shapes (knots, 3, 3), (knots, 3)."""
+        self._pairs = [pair for j in memory for pair in zip(self.placements[j], memory[j], strict=True)]
+
+    def note(self, n: int) -> None:
+        """Take the placements that are in the memory now for those of knot n."""
+        for target, source in self._pairs:
+            target[n] = source
+
+
+class Law(NamedTuple):
+    """Controls of a simulation: u_n = U[n] - K[n] difference(X_ref[n], x_n); no feedback where K is empty."""
+
+    U: Array
+    X_ref: Array
+    K: Array
+
+
+class Horizon(ABC):
+    """A model with its memory. Not for several callers at once."""
+
+    def __init__(self, model: Any, h: float, damping: Array, actuated: Array, readings: Readings) -> None:
+        self.model, self.h, self.damping, self.actuated, self.readings = model, h, damping, actuated, readings
+        self.plain = model.nq == model.nv
+        """Whether positions are plain vectors."""
+        curved = [i for j in range(1, model.njoints) if model.nqs[j] != model.nvs[j]
+                  for i in (model.idx_vs[j], model.idx_vs[j] + model.nvs[j])]  # fmt: skip
+        self.curved = slice(min(curved, default=0), max(curved, default=0))
+        """The dofs outside of which J0 and J1 are the identity."""
+        self.data = data = model.createData()
+        pin.computeABADerivatives(model, data, pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv))
+        self._derivatives = (data.ddq_dq, data.ddq_dv, data.Minv)
+        self._acceleration, self._jacobian = data.ddq, data.J.T  # (nv,), (nv, 6)
+        self._memory = {j: (data.oMi[j].rotation, data.oMi[j].translation) for j in readings.joints}
+        self.q, self.v = np.zeros(model.nq), np.zeros(model.nv)
+        self.tau, self.dq = np.zeros(model.nv), np.zeros(model.nv)
+
+    @abstractmethod
+    def advance(self, n: int, X: Array, recorder: Recorder) -> bool:
+        """Step from (q, v) under tau, and write X[n + 1]; False when it blew up. Notes the placements of knot n."""
+
+    @abstractmethod
+    def differentiate(self, X: Array, tau: Array, recorder: Recorder, J: Array) -> tuple[Array, Array]:
+        """A and B of all steps; `tau` (N, nv) are the torques at their beginning. Notes placements and Jacobians J."""
+
+    def walk_jacobians(self, q: Array, d: Array) -> tuple[Array, Array]:
+        """J0 and J1 of q (+) d among the curved dofs."""
+        J0, J1 = pin.dIntegrate(self.model, q, d)
+        return J0[self.curved, self.curved], J1[self.curved, self.curved]
+
+    def simulate(self, x0: Array, U: Array, X_ref: Array | None = None, K: Array | None = None) -> Trajectory:
+        """Simulate under U, or under U - K difference(x_ref, x)."""
+        N, nq, nv = len(U), self.model.nq, self.model.nv
+        X = np.full((N + 1, nq + nv), np.nan)
+        X[0], self.q[:], self.v[:] = x0, x0[:nq], x0[nq:]
+        # Copies: kernels are compiled for arrays that may be written to, which those of trajectories may not.
+        law = Law(
+            np.array(U),
+            np.zeros((0, nq + nv)) if X_ref is None else np.array(X_ref),
+            np.zeros((0, U.shape[1], 2 * nv)) if K is None else np.array(K),
+        )
+        recorder = Recorder(self._memory, N + 1)
+        good = self.run(X, law, recorder)
+        if good == N:
+            pin.forwardKinematics(self.model, self.data, self.q)
+            recorder.note(N)
+        Y = self.readings.read(recorder.placements, N + 1)
+        if good == N:
+            return Trajectory(X, law.U, Y, self.h)
+        bad = good + 1
+        X[bad:], Y[bad:], law.U[bad:] = np.nan, np.nan, U[bad:]
+        return Trajectory(X, law.U, Y, self.h, diverged_at=bad)
+
+    def run(self, X: Array, law: Law, recorder: Recorder) -> int:
+        """Simulate step by step; return how many steps went well."""
+        U, X_ref, K = law
+        for n in range(len(U)):
+            if len(K) and not self.plain:
+                self.dq[:] = pin.difference(self.model, X_ref[n, : self.q.size], self.q)
+            kernels.control(n, self.plain, X, U, self.dq, X_ref, K, self.damping, self.actuated, self.tau)
+            if not self.advance(n, X, recorder):
+                return n
+        return len(U)
+
+    def linearize(self, trajectory: Trajectory) -> Linearization:
+        """Jacobians of all steps and outputs."""
+        model, N, nq, nv = self.model, trajectory.horizon, self.model.nq, self.model.nv
+        X, tau, J = np.array(trajectory.X), np.zeros((N, nv)), np.zeros((N + 1, nv, 6))
+        tau[:, self.actuated] = trajectory.U
+        tau -= self.damping * X[:-1, nq:]
+        recorder = Recorder(self._memory, N + 1)
+        A, B = self.differentiate(X, tau, recorder, J)
+        C, D = np.zeros((N + 1, self.readings.ny, 2 * nv)), np.zeros((N + 1, self.readings.ny, len(self.actuated)))
+        if self.readings.ny:
+            pin.computeJointJacobians(model, self.data, np.array(X[N, :nq]))
+            recorder.note(N)
+            J[N] = self._jacobian
+            C[..., :nv] = self.readings.jacobian(recorder.placements, J)
+        return Linearization(A, B, C, D)
+
+
+class SemiImplicitEuler(Horizon):
+    """The step at the head of this file. `model` has h D in its armature already."""
+
+    def run(self, X: Array, law: Law, recorder: Recorder) -> int:
+        """See `Horizon.run`; with plain positions a step is one call of Pinocchio's and one of ours."""
+        U, X_ref, K = law
+        if not self.plain or not len(U):
+            return super().run(X, law, recorder)
+        model, data, q, v, tau, world = self.model, self.data, self.q, self.v, self.tau, pin.Convention.WORLD
+        rest = (self._acceleration, q, v, self.dq, X, U, X_ref, K, self.damping, self.actuated, tau)
+        kernels.control(0, True, X, U, self.dq, X_ref, K, self.damping, self.actuated, tau)
+        for n in range(len(U)):
+            pin.aba(model, data, q, v, tau, world)
+            recorder.note(n)
+            if not kernels.euler_and_control(n, self.h, *rest):
+                return n
+        return len(U)
+
+    def advance(self, n: int, X: Array, recorder: Recorder) -> bool:
+        """See `Horizon.advance`."""
+        pin.aba(self.model, self.data, self.q, self.v, self.tau, pin.Convention.WORLD)
+        recorder.note(n)
+        good = kernels.euler(n, self.h, self.plain, self._acceleration, self.q, self.v, self.dq, X)
+        if not self.plain and good:
+            self.q[:] = X[n + 1, : self.q.size] = pin.integrate(self.model, self.q, self.dq)
+            good = bool(np.abs(self.q).max() < kernels.ABSURD)
+        return good
+
+    def differentiate(self, X: Array, tau: Array, recorder: Recorder, J: Array) -> tuple[Array, Array]:
+        """See `Horizon.differentiate`."""
+        N, nv, nq, h = len(tau), self.model.nv, self.model.nq, self.h
+        A, B = np.zeros((N, 2 * nv, 2 * nv)), np.zeros((N, 2 * nv, len(self.actuated)))
+        Q, V = X[:-1, :nq].copy(), X[:-1, nq:].copy()
+        curved = self.curved
+        size = curved.stop - curved.start
+        J0, J1 = np.zeros((2, N, size, size))
+        for n, (q, v, torque) in enumerate(zip(Q, V, tau, strict=True)):
+            pin.computeABADerivatives(self.model, self.data, q, v, torque)
+            kernels.gather(n, h, *self._derivatives, self._jacobian, self.damping, self.actuated, A, B, J)
+            recorder.note(n)
+            if not self.plain:
+                J0[n], J1[n] = self.walk_jacobians(q, h * (v + h * self._acceleration))
+        A[:, :nv], B[:, :nv] = h * A[:, nv:], h * B[:, nv:]
+        A[:, np.arange(nv), np.arange(nv)] += 1.0
+        if not self.plain:
+            A[:, curved], B[:, curved] = h * J1 @ A[:, nv:][:, curved], h * J1 @ B[:, nv:][:, curved]
+            A[:, curved, curved] += J0
+        return A, B

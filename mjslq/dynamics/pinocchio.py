@@ -1,0 +1,332 @@
+"""`PinocchioDynamics`: a URDF robot on Pinocchio's rigid-body algorithms as a discrete-time system.
+
+Notation
+--------
+    x = (q, v)                  nx = nq + nv     Pinocchio's configuration and velocity
+    dx = (dq, dv)               ndx = 2 nv       tangent direction, as in pin.integrate and pin.difference
+    u                           nu               joint torques [Nm] or forces [N]; a floating base has none
+    y                           ny               positions and orientations of frames, read at x_n
+    x_{n+1}                                      semi-implicit Euler (`_pinocchio_horizon`), or Runge-Kutta of
+                                                 fourth order (`_pinocchio_runge_kutta`)
+
+A floating base is a position, a quaternion (x, y, z, w), and velocities [linear, angular] both in the base's own
+frame. (MuJoCo: (w, x, y, z), and the linear velocity in the world's frame.) All Jacobians are analytic: Pinocchio's
+derivatives of the articulated-body algorithm (Carpentier and Mansard 2018) and of the frames.
+
+There are no contacts, no joint limits and no dry friction here; `MujocoDynamics` has them.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from mjslq._validation import Array, as_array, choose, positive
+from mjslq.dynamics import _pinocchio_models as models
+from mjslq.dynamics._base import Dynamics, Linearization, Output
+from mjslq.dynamics._pinocchio_outputs import Readings
+from mjslq.scene import Scene
+from mjslq.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from mjslq.dynamics._pinocchio_horizon import Horizon
+
+Integrator = Literal["semi-implicit-euler", "rk4"]
+_INTEGRATORS = ("semi-implicit-euler", "rk4")
+
+
+class PinocchioDynamics(Dynamics):
+    """A Pinocchio model; make one with `from_path` or `from_model`. Both take the same options:
+
+    timestep
+        Step length h. [s]
+    locked_joints
+        Names of joints to fix at zero, or a mapping from names to positions [rad or m].
+    outputs
+        Names of frames. "hand" is the position of the frame "hand" in the world, shape (3,) [m];
+        "hand.orientation" its orientation, a unit quaternion (w, x, y, z).
+    integrator
+        "semi-implicit-euler" (as MuJoCo's Euler, damping implicit) or "rk4".
+    armature
+        Rotor inertia [kg m^2 or kg]: one number for all joints with one axis, or a mapping from names of joints to
+        numbers; the model's own unless given.
+    damping
+        Joint damping [Nm s/rad or N s/m], given like armature; the model's own unless given.
+    actuated
+        Names of the joints that the controls act on, in the order of the controls; all but a floating base unless
+        given.
+
+    They raise ValueError when the model cannot be read or a name is not in it; the message lists those that are.
+    """
+
+    wants_feedback = True
+
+    def __init__(
+        self,
+        model: Any,
+        timestep: float,
+        locked_joints: models.LockedJoints | None = None,
+        outputs: Sequence[str] = (),
+        *,
+        integrator: Integrator = "semi-implicit-euler",
+        armature: float | Mapping[str, float] | None = None,
+        damping: float | Mapping[str, float] | None = None,
+        actuated: Sequence[str] | None = None,
+        name: str | None = None,
+        scene: Callable[[PinocchioDynamics], Scene | None] | Scene | None = None,
+    ) -> None:
+        self.dt = positive("timestep", timestep)
+        self.integrator = choose("integrator", integrator, _INTEGRATORS)
+        self.model = models.lock(model, locked_joints)
+        """The pinocchio.Model, with joints locked and armature set; a copy of what was given. Not to be changed."""
+        self.model.armature = models.per_joint(self.model, "armature", armature, self.model.armature)
+        self.damping = models.per_joint(self.model, "damping", damping, self.model.damping)
+        """Damping of each dof. Shape (nv,). [Nm s/rad or N s/m]"""
+        models.refuse_massless(self.model)
+        self._actuated, self.control_names = models.actuated_dofs(self.model, actuated)
+        self._readings = Readings(self.model, outputs)
+        self.nx, self.ndx = self.model.nq + self.model.nv, 2 * self.model.nv
+        self.nu, self.ny = len(self._actuated), self._readings.ny
+        self.state_names = models.state_names(self.model)
+        self.output_names = self._readings.names
+        self.name = name or self.model.name or "model"
+        """The robot's name, or its file's."""
+        self._plain = self.model.nq == self.model.nv
+        self._drawn_by = scene
+        self._lock = threading.Lock()
+
+    @classmethod
+    def from_path(
+        cls,
+        path: str | Path,
+        timestep: float,
+        locked_joints: models.LockedJoints | None = None,
+        outputs: Sequence[str] = (),
+        *,
+        floating_base: bool = False,
+        **options: Any,
+    ) -> PinocchioDynamics:
+        """Read a URDF file; `floating_base` frees its root link, as a joint named "root". See the class for the rest.
+
+        A viewer draws the robot as MuJoCo reads the same file.
+        """
+        model = models.load_urdf(path, floating_base)
+        file, locked = Path(path).expanduser().resolve(), models.locked_positions(locked_joints)
+        options.setdefault("name", file.stem)
+
+        def scene(dynamics: PinocchioDynamics) -> Scene | None:
+            return models.viewer_scene(file, dynamics.model, floating_base, locked, dynamics.name)
+
+        options.setdefault("scene", scene)
+        return cls(model, timestep, locked_joints, outputs, **options)
+
+    @classmethod
+    def from_model(
+        cls,
+        model: Any,
+        timestep: float,
+        locked_joints: models.LockedJoints | None = None,
+        outputs: Sequence[str] = (),
+        **options: Any,
+    ) -> PinocchioDynamics:
+        """Copy a `pinocchio.Model`; see the class for the options. `scene` tells a viewer what to draw."""
+        if not isinstance(model, pin.Model):
+            raise ValueError(f"model must be a pinocchio.Model, got {type(model).__name__}; from_path takes a file")
+        return cls(model, timestep, locked_joints, outputs, **options)
+
+    def __repr__(self) -> str:
+        return (
+            f"PinocchioDynamics({self.name!r}, nx={self.nx}, ndx={self.ndx}, nu={self.nu}, ny={self.ny}, dt={self.dt})"
+        )
+
+    @property
+    def initial_state(self) -> Array:
+        """The neutral configuration at rest. Shape (nx,)."""
+        return np.concatenate([pin.neutral(self.model), np.zeros(self.model.nv)])
+
+    @property
+    def control_range(self) -> Array:
+        """Lower and upper limit of each control by the file's efforts, -inf and inf without. Shape (nu, 2)."""
+        upper = np.asarray(self.model.upperEffortLimit)[self._actuated]
+        upper = np.where((upper > 0.0) & (upper < 1e300), upper, np.inf)
+        return np.stack([-upper, upper], axis=-1)
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names that `outputs` may take."""
+        return tuple(dict.fromkeys(frame.name for frame in self.model.frames))
+
+    @property
+    def outputs(self) -> dict[str, Output]:
+        """Frames' positions and orientations by name."""
+        return self._readings.outputs
+
+    def holding_controls(self, x: ArrayLike) -> Array:
+        """Controls under which the robot keeps the configuration of `x` at rest, gravity balanced. Shape (nu,).
+
+        What they cannot balance (the weight of a floating base) is left out.
+        """
+        q = self.checked_start(x)[: self.model.nq]
+        weight: Array = pin.computeGeneralizedGravity(self.model, self.model.createData(), q)
+        return weight[self._actuated]
+
+    def rollout(self, x0: ArrayLike, U: ArrayLike) -> Trajectory:
+        """Simulate from `x0` (nx,) under the controls `U` (N, nu)."""
+        x0, U = self.checked_start(x0), self.checked_controls(U)
+        with self._lock:
+            return self._horizon.simulate(x0, U)
+
+    def rollout_feedback(
+        self, reference: Trajectory, K: Array, k: Array, alpha: float = 1.0, x0: ArrayLike | None = None
+    ) -> Trajectory:
+        """Simulate under u_n = u_ref,n + alpha k_n - K_n difference(x_ref,n, x_n); see `Dynamics`."""
+        _refuse_diverged(reference)
+        N = reference.horizon
+        K, k = as_array("K", K, (N, self.nu, self.ndx)), as_array("k", k, (N, self.nu))
+        x0 = reference.X[0] if x0 is None else self.checked_start(x0)
+        with self._lock:
+            return self._horizon.simulate(x0, reference.U + float(alpha) * k, reference.X, K)
+
+    def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
+        """One step by the joint-space mass matrix: the next state (nx,) and the outputs (ny,) at (x, u)."""
+        x, u = as_array("x", x, (self.nx,)), as_array("u", u, (self.nu,))
+        model, data, h = self.model, self.model.createData(), float(self.dt)
+        q, v = x[: model.nq].copy(), x[model.nq :].copy()
+        implicit = h * self.damping if self.integrator == "semi-implicit-euler" else 0.0 * self.damping
+        tau = np.zeros(model.nv)
+        tau[self._actuated] = u
+
+        def acceleration(i: int, q: Array, v: Array) -> Array:
+            upper = np.triu(pin.crba(model, data, q))
+            M = upper + np.triu(upper, 1).T + np.diag(implicit)
+            return np.linalg.solve(M, tau - self.damping * v - pin.nonLinearEffects(model, data, q, v))
+
+        y = self._readings.read_plainly(model, data, q)
+        if self.integrator == "rk4":
+            from mjslq.dynamics._pinocchio_runge_kutta import runge_kutta
+
+            q, v, _ = runge_kutta(model, h, q, v, acceleration)
+        else:
+            v = v + h * acceleration(0, q, v)
+            q = pin.integrate(model, q, h * v)
+        return np.concatenate([q, v]), y
+
+    def linearize(self, trajectory: Trajectory) -> Linearization:
+        """Jacobians of every step of `trajectory`, and of the outputs at every knot."""
+        _refuse_diverged(trajectory)
+        if trajectory.X.shape[1] != self.nx or trajectory.U.shape[1] != self.nu:
+            raise ValueError(
+                f"the trajectory has {trajectory.X.shape[1]} states and {trajectory.U.shape[1]} controls, "
+                f"but these dynamics have {self.nx} and {self.nu}"
+            )
+        with self._lock:
+            return self._horizon.linearize(trajectory)
+
+    def difference(self, x: Array, y: Array) -> Array:
+        """Tangent direction that leads from state `x` to state `y`. Shapes (..., nx) -> (..., ndx)."""
+        if self._plain:
+            return super().difference(x, y)
+        nq, nv = self.model.nq, self.model.nv
+        x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+        dx = np.empty((*x.shape[:-1], self.ndx))
+        dx[..., nv:] = y[..., nq:] - x[..., nq:]
+        for i in np.ndindex(x.shape[:-1]):
+            dx[i][:nv] = pin.difference(self.model, x[i][:nq].copy(), y[i][:nq].copy())
+        return dx
+
+    def integrate(self, x: Array, dx: Array) -> Array:
+        """State reached from `x` along the tangent direction `dx`. Shapes (..., nx), (..., ndx) -> (..., nx)."""
+        if self._plain:
+            return super().integrate(x, dx)
+        nq, nv = self.model.nq, self.model.nv
+        x, dx = np.asarray(x, dtype=np.float64), np.asarray(dx, dtype=np.float64)
+        many = np.broadcast_shapes(x.shape[:-1], dx.shape[:-1])
+        x, dx = np.broadcast_to(x, (*many, self.nx)), np.broadcast_to(dx, (*many, self.ndx))
+        y = np.empty(x.shape)
+        y[..., nq:] = x[..., nq:] + dx[..., nv:]
+        for i in np.ndindex(many):
+            y[i][:nq] = pin.integrate(self.model, x[i][:nq].copy(), dx[i][:nv].copy())
+        return y
+
+    def difference_jacobian(self, x: Array, y: Array) -> Array | None:
+        """Differentiate difference(x, y) by y, in tangent directions of y; None when it is the identity.
+
+        Shape (..., ndx, ndx).
+        """
+        if self._plain:
+            return None
+        nq, nv = self.model.nq, self.model.nv
+        x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+        jacobian = np.zeros((*x.shape[:-1], self.ndx, self.ndx))
+        jacobian[..., np.arange(nv, self.ndx), np.arange(nv, self.ndx)] = 1.0
+        for i in np.ndindex(x.shape[:-1]):
+            jacobian[i][:nv, :nv] = pin.dDifference(
+                self.model, x[i][:nq].copy(), y[i][:nq].copy(), pin.ArgumentPosition.ARG1
+            )
+        return jacobian
+
+    def checked_start(self, x0: ArrayLike) -> Array:
+        """Return `x0` as a state (nx,) with unit quaternions, or raise ValueError."""
+        x = super().checked_start(x0)
+        if self._plain:
+            return x
+        nq = self.model.nq
+        with np.errstate(all="ignore"):
+            q = pin.normalize(self.model, x[:nq].copy())
+        if not np.isfinite(q).all() or not pin.isNormalized(self.model, q, 1e-9):
+            raise ValueError(
+                "the state holds a quaternion of length zero; initial_state has one that stands for no turn"
+            )
+        return np.concatenate([q, x[nq:]])
+
+    def scene(self) -> Scene | None:
+        """Return the robot as MuJoCo reads it, and where its pose is in x; None where it cannot."""
+        return self._scene
+
+    def support_report(self) -> list[tuple[str, str]]:
+        """List what the system consists of and what serves it, as (part, what serves it)."""
+        free = [name for name in self.state_names if name.startswith(models.ROOT + ".")]
+        damping = "implicit, as MuJoCo's Euler" if self.integrator == "semi-implicit-euler" else "in each stage"
+        parts = [
+            (
+                f"{self.model.njoints - 1} joints, {self.model.nv} dofs",
+                "articulated-body algorithm, analytic Jacobians",
+            ),
+            ("integrator", self.integrator),
+        ]
+        if free:
+            parts.append(("floating base", "a free joint on the manifold"))
+        if self.damping.any():
+            parts.append(("joint damping", damping))
+        parts += [(f"output {name}", "analytic Jacobian") for name in self.outputs]
+        if np.asarray(self.model.upperDryFrictionLimit).any():
+            parts.append(("dry friction", "left out: MujocoDynamics has it"))
+        return parts
+
+    @cached_property
+    def _scene(self) -> Scene | None:
+        return self._drawn_by(self) if callable(self._drawn_by) else self._drawn_by
+
+    @cached_property
+    def _horizon(self) -> Horizon:
+        from mjslq.dynamics._pinocchio_horizon import SemiImplicitEuler
+        from mjslq.dynamics._pinocchio_runge_kutta import RungeKutta4
+
+        h, rest = float(self.dt), (self.damping, self._actuated, self._readings)
+        if self.integrator == "rk4":
+            return RungeKutta4(self.model, h, *rest)
+        stepped = self.model.copy()
+        stepped.armature = self.model.armature + h * self.damping
+        return SemiImplicitEuler(stepped, h, *rest)
+
+
+def _refuse_diverged(trajectory: Trajectory) -> None:
+    if trajectory.diverged:
+        raise ValueError(f"the trajectory diverged at knot {trajectory.diverged_at}; there is nothing to linearize")

@@ -1,0 +1,79 @@
+"""The quadruped Solo12 rises from a crouch and stands, pushing against the floor with torque-driven legs.
+
+    J = h sum_n [ 1/2 |x_n - x_stand|^2_W + 1/2 r |u_n|^2 ] + 1/2 |x_N - x_stand|^2_{W_final}
+
+x = (q, v) with a free base, u the twelve joint torques [Nm]. The feet touch the floor through MuJoCo's soft contact.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mjslq._validation import Array, count, positive
+from mjslq.costs import Control, State
+from mjslq.dynamics.mujoco import MujocoDynamics
+from mjslq.problem import Problem
+from mjslq.problems._legged import on_floor, standing
+from mjslq.trajectory import Trajectory
+
+LEGS = ("FL", "FR", "HL", "HR")
+FOOT_RADIUS = 0.0155
+"""Of the ball under each leg. [m]"""
+SPRING, DAMPER = 5.0, 0.1
+"""Of the legs at the start of the search. [Nm/rad], [Nms/rad]"""
+
+
+def solo12_stand(
+    horizon: int = 100, timestep: float = 0.01, crouch: float = 1.2, stand: float = 0.8, effort: float = 1e-2
+) -> Problem:
+    """Rise from thighs at the angle `crouch` to `stand` [rad], knees at twice as much, in `horizon` steps [s]."""
+    dynamics = _dynamics(positive("timestep", timestep))
+    start, goal = (standing(dynamics.model, _posture(angle)) for angle in (crouch, stand))
+    nv = dynamics.ndx // 2
+    positions = np.concatenate([[10.0, 10.0, 10.0, 10.0, 10.0, 10.0], np.full(nv - 6, 1.0)])
+    running = np.concatenate([positions, np.full(nv, 0.01)])
+    final = np.concatenate([100.0 * positions, np.full(nv, 1.0)])
+    return Problem(
+        dynamics=dynamics,
+        horizon=count("horizon", horizon),
+        x0=start,
+        costs=[State(running, goal), State(final, goal, "terminal"), Control(positive("effort", effort))],
+        U0=_spring_legs(dynamics, start, goal, horizon),
+        options={"tol_direction": 1e-4},
+        describe=lambda trajectory: describe(trajectory, goal[2]),
+    )
+
+
+def describe(trajectory: Trajectory, height: float) -> dict[str, str]:
+    """How high the base has come."""
+    z, speed = trajectory.X[-1, 2], float(np.linalg.norm(trajectory.X[-1, 19:22]))
+    return {"base": f"at {z:.4f} m, {1e3 * (z - height):+.1f} mm from where it is to be, speed {speed:.3f} m/s"}
+
+
+def _spring_legs(dynamics: MujocoDynamics, start: Array, goal: Array, N: int) -> Array:
+    """Torques of legs that springs and dampers pull into the posture of `goal`: a start that stays on its feet."""
+    nv, joints = dynamics.ndx // 2, np.arange(dynamics.nu)
+    K = np.zeros((N, dynamics.nu, dynamics.ndx))
+    K[:, joints, 6 + joints], K[:, joints, nv + 6 + joints] = SPRING, DAMPER
+    hold = Trajectory(np.tile(goal, (N + 1, 1)), np.zeros((N, dynamics.nu)), dt=dynamics.dt)
+    return dynamics.rollout_feedback(hold, K, np.zeros_like(hold.U), x0=start).U
+
+
+def _posture(angle: float) -> dict[str, float]:
+    front = {f"{leg}_HFE": angle for leg in LEGS[:2]} | {f"{leg}_KFE": -2.0 * angle for leg in LEGS[:2]}
+    hind = {f"{leg}_HFE": -angle for leg in LEGS[2:]} | {f"{leg}_KFE": 2.0 * angle for leg in LEGS[2:]}
+    return front | hind
+
+
+def _dynamics(timestep: float) -> MujocoDynamics:
+    import mujoco
+
+    spec: Any = on_floor("solo12", tuple(f"{leg}_FOOT" for leg in LEGS), timestep, 0.01, FOOT_RADIUS)
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+            motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            motor.gainprm[0] = 1.0
+            joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    return MujocoDynamics.from_spec(spec, name="solo12")
