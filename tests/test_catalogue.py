@@ -14,7 +14,7 @@ def test_names_have_a_summary_and_parameters():
     assert {"drag_particle", "hopper"} <= set(problems.names())
     for name in problems.names():
         assert problems.summary(name)
-        assert "engine" in problems.parameters(name)
+        assert "horizon" in problems.parameters(name)
 
 
 @pytest.mark.parametrize("name", problems.names())

@@ -159,7 +159,8 @@ def test_linearization_does_not_depend_on_threads():
 
 
 def test_sides_and_size_of_the_differences_can_be_chosen():
-    fine, coarse = MujocoDynamics.from_xml(ARM), MujocoDynamics.from_xml(ARM, eps=1e-4, centered=False)
+    ways = {"jacobian": "transition"}
+    fine, coarse = (MujocoDynamics.from_xml(ARM, **ways, **way) for way in ({}, {"eps": 1e-4, "centered": False}))
     trajectory = fine.rollout(fine.keyframe("home"), controls(fine, 5))
     error = np.abs(fine.linearize(trajectory).A - coarse.linearize(trajectory).A).max()
     assert 1e-8 < error < 1e-2

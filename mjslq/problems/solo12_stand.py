@@ -41,7 +41,8 @@ def solo12_stand(
         x0=start,
         costs=[State(running, goal), State(final, goal, "terminal"), Control(positive("effort", effort))],
         U0=_spring_legs(dynamics, start, goal, horizon),
-        options={"tol_direction": 1e-4},
+        # Contacts that open and close leave kinks in the cost; near its end the search only shuffles them.
+        options={"tol_direction": 1e-3},
         describe=lambda trajectory: describe(trajectory, goal[2]),
     )
 
