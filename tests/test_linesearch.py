@@ -14,17 +14,17 @@ from mjslq.solvers._linesearch import C1, C1_GOLDSTEIN, C2, ROUNDOFF, SEARCHES, 
 NAMES = sorted(SEARCHES)
 
 
-def trial_of(phi, slope, *, derivative=None, gradient_norm=lambda alpha: abs(alpha - 1.0)):
+def trial_of(phi, slope, *, derivative=None, gradient_norm=lambda alpha: abs(alpha - 1.0), at_once=1):
     """A step along which the cost is phi(alpha)."""
     calls = []
 
-    def step(alpha):
-        calls.append(alpha)
-        return SimpleNamespace(cost=phi(alpha), gradient_norm=gradient_norm(alpha))
+    def step(alphas):
+        calls.extend(alphas)
+        return [SimpleNamespace(cost=phi(alpha), gradient_norm=gradient_norm(alpha)) for alpha in alphas]
 
     here = SimpleNamespace(cost=phi(0.0), gradient_norm=gradient_norm(0.0))
     slope_at = None if derivative is None else lambda there, alpha: derivative(alpha)
-    trial = Trial(here, slope, step, slope_at)
+    trial = Trial(here, slope, step, slope_at, at_once)
     trial.calls = calls
     return trial
 
@@ -184,6 +184,15 @@ def test_every_step_tried_is_counted_once(name):
     trial = trial_of(lambda a: (a - 0.2) ** 2, -0.4)
     search(name, trial)
     assert trial.evaluations == len(trial.calls) == len(set(trial.calls))
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("at_once", [2, 4, 16])
+def test_candidates_tried_side_by_side_change_no_step(name, at_once):
+    """Looking ahead on several threads finds the step that one thread finds."""
+    for phi, slope in ((lambda a: (a - 0.2) ** 2, -0.4), (lambda a: 1.0 + (a - 1.0) ** 2, -2.0), (lambda a: -a, -1.0)):
+        alone, together = (search(name, trial_of(phi, slope, at_once=k)) for k in (1, at_once))
+        assert together.alpha == alone.alpha
 
 
 # The roundoff rule

@@ -1,5 +1,6 @@
 """SLQ: the paper's theorems, the methods multiplied by problems, and every way in which a solve can end."""
 
+import dataclasses
 import io
 import math
 
@@ -479,3 +480,16 @@ def test_methods_tell_what_they_take():
     assert methods["slq"].summary and methods["slq"].needs
     methods.clear()  # a copy
     assert "slq" in mjslq.methods()
+
+
+@pytest.mark.parametrize("line_search", ["quadratic-fit", "armijo", "exact"])
+def test_any_number_of_threads_gives_the_same_result(line_search):
+    problem = problems.get("hopper", height=10.0)
+    results = []
+    for threads in (1, 3):
+        dynamics = mjslq.MujocoDynamics.from_model(problem.dynamics.model, threads=threads)
+        results.append(solve(dataclasses.replace(problem, dynamics=dynamics), line_search=line_search))
+    one, three = results
+    assert one.iterations == three.iterations
+    np.testing.assert_array_equal(one.trajectory.U, three.trajectory.U)
+    np.testing.assert_array_equal(one.gains, three.gains)

@@ -17,7 +17,7 @@ The grain of the interface is the whole horizon: one call rolls out or linearize
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -119,6 +119,17 @@ class Dynamics(ABC):
 
         K has shape (N, nu, ndx), k (N, nu). Starts at the reference's first state unless `x0` is given.
         """
+
+    def rollout_candidates(
+        self, reference: Trajectory, K: Array, k: Array, alphas: Sequence[float], x0: ArrayLike | None = None
+    ) -> list[Trajectory]:
+        """`rollout_feedback` for each step size of `alphas`; engines with threads run them side by side."""
+        return [self.rollout_feedback(reference, K, k, alpha, x0) for alpha in alphas]
+
+    @property
+    def candidates_at_once(self) -> int:
+        """How many candidates `rollout_candidates` runs side by side: a line search asks for as many ahead."""
+        return 1
 
     @abstractmethod
     def linearize(self, trajectory: Trajectory) -> Linearization:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -27,12 +29,18 @@ class Horizon:
 
     def rollout(self, x0: Array, U: Array) -> Trajectory:
         """Run open loop; see `MujocoDynamics.rollout`."""
-        return self._simulate(x0, U, {})
+        return self._simulate(x0, U, [{}])[0]
 
-    def rollout_feedback(self, reference: Trajectory, K: Array, k: Array, alpha: float, x0: Array) -> Trajectory:
-        """Run closed loop; see `MujocoDynamics.rollout_feedback`."""
-        law = {"X_ref": reference.X, "U_ref": reference.U, "K": K, "k": k, "alpha": alpha}
-        return self._simulate(x0, reference.U, law)
+    def rollout_candidates(
+        self, reference: Trajectory, K: Array, k: Array, alphas: Sequence[float], x0: Array
+    ) -> list[Trajectory]:
+        """Run closed loop with each step size of `alphas`, as many at once as there are threads."""
+        law = {"X_ref": reference.X, "U_ref": reference.U, "K": K, "k": k}
+        found: list[Trajectory] = []
+        for start in range(0, len(alphas), self.workers.count):
+            together = alphas[start : start + self.workers.count]
+            found += self._simulate(x0, reference.U, [law | {"alpha": float(alpha)} for alpha in together])
+        return found
 
     def linearize_transition(self, trajectory: Trajectory, eps: float, centered: bool) -> Linearization:
         """Take differences of the step, the knots shared out among the threads."""
@@ -62,42 +70,52 @@ class Horizon:
             return np.full(self.nx, np.nan), data.sensordata.copy()
         return np.concatenate([data.qpos, data.qvel, data.act]), data.sensordata.copy()
 
-    def _simulate(self, x0: Array, U: Array, law: dict[str, Any]) -> Trajectory:
-        N = len(U)
-        X, Y = np.full((N + 1, self.nx), np.nan), np.full((N + 1, self.model.nsensordata), np.nan)
-        X[0], U = x0, np.array(U)
-        U_given, bad_knot = U.copy(), np.zeros(1, np.int64)
-        jobs = self._jobs(1, N, {"X": X, "U": U, "Y": Y, "bad_knot": bad_knot, **law})
+    def _simulate(self, x0: Array, U: Array, laws: list[dict[str, Any]]) -> list[Trajectory]:
+        """Simulate under each control law, one a thread; the laws are at most as many as the workers."""
+        N, number, dt = len(U), len(laws), float(self.model.opt.timestep)
+        X, Y = np.full((number, N + 1, self.nx), np.nan), np.full((number, N + 1, self.model.nsensordata), np.nan)
+        X[:, 0], controls, bad_knots = x0, np.repeat(U[None], number, axis=0), np.zeros(number, np.int64)
+        jobs = self._jobs(number, N, {})
+        for i, law in enumerate(laws):
+            _fill(jobs[i], {"X": X[i], "U": controls[i], "Y": Y[i], "bad_knot": bad_knots[i : i + 1], **law})
         self._run(kernels.simulate, jobs)
-        dt, bad = float(self.model.opt.timestep), int(bad_knot[0])
-        if bad > N:
-            return Trajectory(X, U, Y, dt)
-        X[bad:], Y[bad:], U[bad:] = np.nan, np.nan, U_given[bad:]
-        return Trajectory(X, U, Y, dt, diverged_at=bad)
+        found = []
+        for x, u, y, knot in zip(X, controls, Y, bad_knots.tolist(), strict=True):
+            if knot <= N:
+                x[knot:], y[knot:], u[knot:] = np.nan, np.nan, U[knot:]
+            found.append(Trajectory(x, u, y, dt, diverged_at=knot if knot <= N else None))
+        return found
 
     def _run(self, kernel: Any, jobs: np.ndarray[Any, Any]) -> None:
         refuse_callbacks()
         self.workers.run(kernels.address(kernel), jobs)
 
     def _jobs(self, number: int, N: int, fields: dict[str, Any]) -> np.ndarray[Any, Any]:
-        """Fill in `number` jobs with the model's own entries and `fields`: arrays by address, numbers as they are.
+        """Make `number` jobs with the model's own entries and `fields`: arrays by address, numbers as they are.
 
         The caller keeps the arrays alive until the kernel is done.
         """
+        jobs = self._blank[:number].copy()
+        _fill(jobs, {"N": N, **fields})
+        return jobs
+
+    @cached_property
+    def _blank(self) -> np.ndarray[Any, Any]:
+        """A job for each thread, with what never changes filled in."""
         model = self.model
-        jobs = np.zeros(number, kernels.JOB)
-        jobs["N"], jobs["model"] = N, model._address
-        jobs["nq"], jobs["nv"], jobs["na"], jobs["nu"], jobs["ny"] = (
-            model.nq, model.nv, model.na, model.nu, model.nsensordata
-        )  # fmt: skip
-        for job, data in zip(jobs, self._data, strict=False):
-            job["data"] = data._address
+        jobs = np.zeros(len(self._data), kernels.JOB)
+        sizes = {"nq": model.nq, "nv": model.nv, "na": model.na, "nu": model.nu, "ny": model.nsensordata}
+        _fill(jobs, {"model": model._address, **sizes})
+        for job, data in zip(jobs, self._data, strict=True):
             views = {
                 "qpos": data.qpos, "qvel": data.qvel, "act": data.act, "ctrl": data.ctrl, "qacc": data.qacc,
                 "warmstart": data.qacc_warmstart, "sensors": data.sensordata, "warnings": data.warning.number,
             }  # fmt: skip
-            for name, view in views.items():
-                job[name] = view.ctypes.data
-        for name, value in fields.items():
-            jobs[name] = value.ctypes.data if isinstance(value, np.ndarray) else value
+            _fill(job, {"data": data._address, **views})
         return jobs
+
+
+def _fill(job: Any, fields: dict[str, Any]) -> None:
+    """Set fields of a job, or of all jobs of an array: arrays by address, numbers as they are."""
+    for name, value in fields.items():
+        job[name] = value.__array_interface__["data"][0] if isinstance(value, np.ndarray) else value

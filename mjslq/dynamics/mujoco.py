@@ -18,7 +18,7 @@ from __future__ import annotations
 import copy
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     import mujoco
 
     from mjslq.dynamics._mujoco_horizon import Horizon
+    from mjslq.dynamics._mujoco_inverse import InverseJacobians
 
 
 class MujocoDynamics(Dynamics):
@@ -46,12 +47,13 @@ class MujocoDynamics(Dynamics):
     timestep
         Step length in place of the model's own. [s]
     jacobian
-        How `linearize` works: "transition" takes differences of the step (mjd_transitionFD); "auto" the best
-        way there is for the model.
+        How `linearize` works: "inverse" differentiates the inverse dynamics of the step, analytically wherever
+        possible, and covers most models; "transition" takes differences of the step (mjd_transitionFD), many times
+        slower, and covers all; "auto" is "inverse" where that covers the model. `support_report` says which, and why.
     threads
         How many threads `linearize` may use; None for one per usable core.
     eps, centered
-        Size of the differences in "transition", and whether they are taken to both sides (twice the time, far
+        Size of the differences where some are taken, and whether they are taken to both sides (twice the time, far
         smaller error: about 1e-7 in contact, 1e-9 without).
 
     They raise ValueError when the model cannot be read, or is not supported; the sentence says why and what helps.
@@ -72,6 +74,7 @@ class MujocoDynamics(Dynamics):
     ):
         from mjslq.dynamics import _mujoco_names as names
         from mjslq.dynamics._mujoco_checks import refuse_unsupported
+        from mjslq.dynamics._mujoco_inverse_cover import choose_jacobian
 
         refuse_unsupported(model)
         self.model = copy.copy(model)
@@ -86,8 +89,8 @@ class MujocoDynamics(Dynamics):
         self.output_names = names.output_names(model)
         self.name = name or names.model_name(model) or "model"
         """The model's name, or its file's."""
-        self.jacobian = choose("jacobian", "transition" if jacobian == "auto" else jacobian, _JACOBIANS)
-        """How `linearize` works."""
+        self.jacobian = choose_jacobian(self.model, choose("jacobian", jacobian, ("auto", *_JACOBIANS)))
+        """How `linearize` works: "inverse" or "transition"."""
         self._threads = _usable_cores() if threads is None else count("threads", threads)
         self._eps, self._centered = positive("eps", eps), bool(centered)
         self._space = StateSpace.of_model(model)
@@ -201,12 +204,23 @@ class MujocoDynamics(Dynamics):
         self, reference: Trajectory, K: Array, k: Array, alpha: float = 1.0, x0: ArrayLike | None = None
     ) -> Trajectory:
         """Simulate under u_n = u_ref,n + alpha k_n - K_n difference(x_ref,n, x_n); see `Dynamics`."""
+        return self.rollout_candidates(reference, K, k, [alpha], x0)[0]
+
+    @property
+    def candidates_at_once(self) -> int:
+        """One a thread."""
+        return self._threads
+
+    def rollout_candidates(
+        self, reference: Trajectory, K: Array, k: Array, alphas: Sequence[float], x0: ArrayLike | None = None
+    ) -> list[Trajectory]:
+        """Simulate under feedback with several step sizes, on several threads; see `Dynamics`."""
         _refuse_diverged(reference)
         N = reference.horizon
         K, k = as_array("K", K, (N, self.nu, self.ndx)), as_array("k", k, (N, self.nu))
         x0 = reference.X[0] if x0 is None else self.checked_start(x0)
         with self._lock:
-            return self._horizon.rollout_feedback(reference, K, k, float(alpha), x0)
+            return self._horizon.rollout_candidates(reference, K, k, alphas, x0)
 
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
         """One step by plain mj_step from a clean mjData: the next state (nx,) and the outputs (ny,) at (x, u).
@@ -256,7 +270,8 @@ class MujocoDynamics(Dynamics):
         """List the model's parts and what serves each of them, as (part, what serves it)."""
         from mjslq.dynamics._mujoco_report import report
 
-        return report(self.model, "differences of the step" + (" to both sides" if self._centered else ""))
+        differences = "differences of the step" + (" to both sides" if self._centered else "")
+        return report(self.model, differences, self.jacobian)
 
     @cached_property
     def _scene(self) -> Scene:
@@ -272,6 +287,15 @@ class MujocoDynamics(Dynamics):
 
         return Horizon(self.model, self._threads)
 
+    @cached_property
+    def _inverse(self) -> InverseJacobians:
+        from mjslq.dynamics._mujoco_inverse import InverseJacobians
+
+        return InverseJacobians(self._horizon, self._eps)
+
+    def _linearize_inverse(self, trajectory: Trajectory) -> Linearization:
+        return self._inverse.linearize(trajectory)
+
     def _linearize_transition(self, trajectory: Trajectory) -> Linearization:
         return self._horizon.linearize_transition(trajectory, self._eps, self._centered)
 
@@ -280,6 +304,7 @@ class MujocoDynamics(Dynamics):
 
 
 _JACOBIANS: dict[str, Callable[[MujocoDynamics, Trajectory], Linearization]] = {
+    "inverse": MujocoDynamics._linearize_inverse,
     "transition": MujocoDynamics._linearize_transition,
 }
 

@@ -22,7 +22,7 @@ Sources: Sideris and Bobrow 2005, Algorithm 2, Step 3; Nocedal and Wright, Numer
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -46,19 +46,35 @@ class Trial:
     """phi and its derivative along one direction, counting rollouts and remembering the best iterate."""
 
     def __init__(
-        self, here: Iterate, slope: float, step: Callable[[float], Iterate], slope_at: Slope | None = None
+        self,
+        here: Iterate,
+        slope: float,
+        step: Callable[[Sequence[float]], Sequence[Iterate]],
+        slope_at: Slope | None = None,
+        at_once: int = 1,
     ) -> None:
         self.here, self.slope = here, slope
         self.evaluations = 0
-        self._step, self._slope_at = step, slope_at
+        self._step, self._slope_at, self._at_once = step, slope_at, at_once
         self._known: dict[float, Iterate] = {}
+        self._asked: dict[float, Iterate] = {}
 
     def __call__(self, alpha: float) -> Iterate:
         """Iterate after a step of size alpha."""
-        if alpha not in self._known:
-            self._known[alpha] = self._step(alpha)
-            self.evaluations += 1
+        self._try([alpha])
+        self._asked[alpha] = self._known[alpha]
         return self._known[alpha]
+
+    def ahead(self, *alphas: float) -> None:
+        """Try steps that will be asked for soon side by side, as many as the engine runs at once."""
+        if self._at_once > 1:
+            self._try(alphas[: self._at_once])
+
+    def _try(self, alphas: Sequence[float]) -> None:
+        new = [alpha for alpha in alphas if alpha not in self._known]
+        if new:
+            self._known.update(zip(new, self._step(new), strict=True))
+            self.evaluations += len(new)
 
     def cost(self, alpha: float) -> float:
         """phi(alpha); infinite where the rollout diverges."""
@@ -77,8 +93,8 @@ class Trial:
         return (self.cost(alpha + e) - self.cost(alpha - e)) / (2.0 * e)
 
     def best(self) -> float:
-        """Step of least cost among those tried."""
-        return min(self._known, key=lambda alpha: self._known[alpha].cost)
+        """Step of least cost among those asked for: what was tried ahead of need must not change the outcome."""
+        return min(self._asked, key=lambda alpha: self._asked[alpha].cost)
 
 
 class Step(NamedTuple):
@@ -116,6 +132,7 @@ def armijo(trial: Trial) -> float | None:
     """Backtracking by halves."""
     alpha = 1.0
     while alpha > SMALLEST:
+        trial.ahead(alpha, 0.5 * alpha, 0.25 * alpha, 0.125 * alpha)
         if trial.descends(alpha, C1):
             return alpha
         alpha *= 0.5
@@ -168,6 +185,7 @@ def quadratic_fit(trial: Trial) -> float | None:
         return 1.0
     alpha = 1.0
     while alpha > SMALLEST:
+        trial.ahead(alpha, 0.5 * alpha, 0.25 * alpha, 0.125 * alpha)
         start, middle, end = trial.here.cost, trial.cost(0.5 * alpha), trial.cost(alpha)
         if min(middle, end) < start:
             curvature = start - 2.0 * middle + end
@@ -182,6 +200,7 @@ def quadratic_fit(trial: Trial) -> float | None:
 def exact(trial: Trial) -> float | None:
     """Minimum over (0, 1]: a geometric scan brackets it, Brent's method refines it."""
     grid = [2.0**-i for i in range(12)]
+    trial.ahead(*grid)
     costs = [trial.cost(alpha) for alpha in grid]
     least = min(range(len(grid)), key=costs.__getitem__)
     if not costs[least] < trial.here.cost:

@@ -15,6 +15,8 @@ shortened are followed by a search along the previous change of the controls (`_
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mjslq._validation import Array, choose
@@ -58,7 +60,8 @@ def slq(
     def advance(here: Iterate, direction: Direction) -> tuple[Accepted | None, int]:
         nonlocal change
         slope = here.slope(direction)
-        trial = Trial(here, slope, lambda alpha: take(here, direction, alpha, step))
+        at_once = here.problem.dynamics.candidates_at_once
+        trial = Trial(here, slope, lambda alphas: take(here, direction, alphas, step), at_once=at_once)
         found = search(line_search, trial)
         if found is None:
             return None, trial.evaluations
@@ -90,11 +93,11 @@ def gauss_newton(here: Iterate) -> Direction:
         return Direction(lq.U, lq.k, lq.K, multiplier)
 
 
-def take(here: Iterate, direction: Direction, alpha: float, step: str) -> Iterate:
-    """Iterate after a step of size alpha."""
+def take(here: Iterate, direction: Direction, alphas: Sequence[float], step: str) -> list[Iterate]:
+    """Iterates after steps of the sizes `alphas`."""
     problem, reference = here.problem, here.trajectory
     if step == "closed-loop":
-        trajectory = problem.dynamics.rollout_feedback(reference, direction.K, direction.k, alpha)
+        trajectories = problem.dynamics.rollout_candidates(reference, direction.K, direction.k, alphas)
     else:
-        trajectory = problem.rollout(reference.U + alpha * direction.U)
-    return Iterate(problem, trajectory)
+        trajectories = [problem.rollout(reference.U + alpha * direction.U) for alpha in alphas]
+    return [Iterate(problem, trajectory) for trajectory in trajectories]
