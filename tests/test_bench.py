@@ -1,0 +1,57 @@
+"""The benchmark measures what it says, on the smallest case; its numbers are for reading, not for passing tests."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from mjslq import bench
+
+
+@pytest.fixture(autouse=True)
+def hurried(monkeypatch):
+    monkeypatch.setattr(bench, "BUDGET", 0.0)
+    monkeypatch.setattr(bench, "ITERATIONS", 2)
+
+
+def test_a_row_holds_positive_times_and_their_ratios():
+    row = bench.run("hopper")
+    assert (row.engine, row.N, row.nx, row.nu) == ("mujoco", 100, 4, 1)
+    assert "transition" in row.linearize
+    times = [row.rollout, row.sweep, row.iteration, *row.linearize.values(), *row.bare.values()]
+    assert np.isfinite(times).all() and min(times) > 0.0
+    assert row.ratio_to_bare == pytest.approx(row.iteration / (row.bare["mjd_transitionFD"] + row.bare["mj_step"]))
+    assert row.ratio_of_jacobians == pytest.approx(row.bare["mjd_transitionFD"] / min(row.linearize.values()))
+
+
+def test_other_engines_have_no_bare_calls():
+    row = bench.run("panda_reach, pinocchio")
+    assert row.engine == "pinocchio" and row.bare == {}
+    assert row.ratio_to_bare is None and row.ratio_of_jacobians is None
+
+
+@pytest.mark.parametrize("case", bench.CASES)
+def test_every_case_is_a_problem_that_rolls_out(case):
+    problem = bench.CASES[case]()
+    assert not problem.rollout(problem.U0).diverged
+
+
+def test_solo12_in_flight_touches_nothing():
+    import mujoco
+
+    problem = bench.CASES["solo12 in flight"]()
+    model, X = problem.dynamics.model, problem.rollout(problem.U0).X
+    data = mujoco.MjData(model)
+    for x in X:
+        data.qpos[:] = x[: model.nq]
+        mujoco.mj_forward(model, data)
+        assert data.ncon == 0
+
+
+def test_json_is_for_machines():
+    command = [sys.executable, "-m", "mjslq.cli", "bench", "hopper", "--json"]
+    outcome = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    (row,) = json.loads(outcome.stdout)["cases"]
+    assert row["case"] == "hopper" and row["iteration"] > 0.0
