@@ -42,7 +42,7 @@ def multiply_transposed(A, B, out):
                 out[i, j] += a * B[k, j]
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract", "reassoc"})
 def add_transposed_product(A, x, out):
     """Out += A' x."""
     for k in range(A.shape[0]):
@@ -50,7 +50,7 @@ def add_transposed_product(A, x, out):
             out[i] += A[k, i] * x[k]
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract", "reassoc"})  # sums in any order, so that they vectorize
 def add_product(A, x, out):
     """Out += A x."""
     for i in range(A.shape[0]):

@@ -170,11 +170,12 @@ def _factorize(A, B, Q, R, M, mu, K, L, F, P):
 def _vectors(A, B, q, r, c, K, L, F, P, k, p, X, U):
     """Vector recursion with a factorization at hand: feedforward k and p back, states X and controls U forth."""
     N, nx, nu = B.shape
-    beyond, column = np.empty(nx), np.empty((nu, 1))
+    beyond, column, gaps = np.empty(nx), np.empty((nu, 1)), c.any()
     p[N] = q[N]
     for n in range(N - 1, -1, -1):
         beyond[:] = p[n + 1]
-        add_product(P[n + 1], c[n], beyond)  # p + P c
+        if gaps:
+            add_product(P[n + 1], c[n], beyond)  # p + P c
         column[:, 0] = r[n]
         add_transposed_product(B[n], beyond, column[:, 0])
         cholesky_solve(L[n], column)
