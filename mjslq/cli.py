@@ -168,6 +168,28 @@ def check(
 
 
 @app.command()
+def reproduce(
+    papers: Annotated[
+        list[str] | None, typer.Argument(help="Methods whose paper to reproduce; all unless given.")
+    ] = None,
+) -> None:
+    """Put the papers' numbers beside what comes out here, row by row."""
+    _announce(quiet=False)
+    from rich.console import Console
+    from rich.table import Table
+
+    from mjslq import reproduce
+    from mjslq._validation import choose
+
+    for paper in [choose("paper", paper, reproduce.PAPERS) for paper in papers or reproduce.PAPERS]:
+        table = Table("", "paper", "here", "verdict", box=None, pad_edge=False, header_style="bold", title=paper)
+        for row in reproduce.PAPERS[paper]():
+            print(f"{row.what}: {row.verdict}", file=sys.stderr, flush=True)
+            table.add_row(row.what, row.paper, row.ours, row.verdict)
+        Console(width=max(170, Console().width)).print(table)
+
+
+@app.command()
 def bench(
     cases: Annotated[list[str] | None, typer.Argument(help="Cases to measure; all of them unless given.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the measurements as one JSON object.")] = False,
