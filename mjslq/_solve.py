@@ -103,8 +103,8 @@ def solve(
     if not isinstance(problem, Problem):
         raise ValueError(f"problem must be a mjslq.Problem, got {type(problem).__name__}")
     chosen = METHODS[choose("method", method, METHODS)]
-    given = {"tol": tol, "max_iterations": max_iterations} | options
-    settings = dict(problem.options) | {name: value for name, value in given.items() if value is not None}
+    asked = {"tol": tol, "max_iterations": max_iterations} | options
+    settings = _settings(problem, method, {name: value for name, value in asked.items() if value is not None})
     stopping = _stopping(settings)
     own = {name: settings.pop(name) for name in list(settings) if name in chosen.options}
     for name in settings:
@@ -118,6 +118,15 @@ def solve(
     if verbose:
         print(f"{result.status.value}: {result.message}", file=monitor.stream)
     return result
+
+
+def _settings(problem: Problem, method: str, asked: dict[str, Any]) -> dict[str, Any]:
+    """Options of the problem as far as the method knows them, and over them what the caller asked for."""
+    known = option_names(method)
+    own = {name: value for name, value in problem.options.items() if name in known}
+    if "tol" in asked:  # it stands for both tolerances, the problem's own included
+        own = {name: value for name, value in own.items() if not name.startswith("tol")}
+    return own | asked
 
 
 def option_names(method: str) -> list[str]:

@@ -493,3 +493,16 @@ def test_any_number_of_threads_gives_the_same_result(line_search):
     assert one.iterations == three.iterations
     np.testing.assert_array_equal(one.trajectory.U, three.trajectory.U)
     np.testing.assert_array_equal(one.gains, three.gains)
+
+
+def test_what_the_caller_asks_for_goes_before_what_the_problem_asks_for():
+    """`tol` stands for both tolerances, also where the problem sets one of them."""
+    problem = dataclasses.replace(pendulum(), options={"tol_direction": 0.5, "max_iterations": 3})
+    assert solve(problem).success
+    strict = solve(problem, tol=1e-9, max_iterations=200)
+    assert strict.success and strict.iterations > 3
+    assert strict.options["tol_direction"] == strict.options["tol_gradient"] == 1e-9
+
+
+def test_options_of_a_problem_that_a_method_does_not_know_are_passed_over():
+    assert solve(dataclasses.replace(pendulum(), options={"of_another_method": 1})).success
