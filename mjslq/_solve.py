@@ -131,10 +131,11 @@ def _settings(problem: Problem, method: str, asked: dict[str, Any]) -> dict[str,
 
 def option_names(method: str) -> list[str]:
     """Names of all options that `solve` takes for a method."""
-    return [*METHODS[choose("method", method, METHODS)].options, *_COMMON]
+    return [*METHODS[choose("method", method, METHODS)].options, *COMMON]
 
 
-_COMMON = ("tol", "tol_direction", "tol_gradient", "max_iterations")
+COMMON = ("tol", "tol_direction", "tol_gradient", "max_iterations")
+"""Options that every method takes."""
 
 
 def _stopping(settings: dict[str, Any]) -> Stopping:

@@ -86,13 +86,13 @@ def solve(
         raise ValueError(f"cannot write {save}: there is no folder {save.parent}")
     _announce(quiet)
     from mjslq import problems
-    from mjslq._solve import METHODS
+    from mjslq._solve import METHODS, option_names
     from mjslq._solve import solve as run
     from mjslq._validation import choose
 
     choose("problem", problem, problems.names())
     choose("method", method, METHODS)
-    parameters, options = _sort_settings(settings or [], problem, method)
+    parameters, options = _sort_settings(settings or [], problem, option_names(method))
     stated = problems.get(problem, **parameters)
     result = run(stated, method, verbose=0 if quiet else 1, stream=sys.stderr, **options)
     if as_json:
@@ -165,6 +165,47 @@ def check(
     console.print()
     console.print(errors)
     raise typer.Exit(0 if found.worst_error < 1e-3 else 1)
+
+
+@app.command()
+def compare(
+    problem: Annotated[str, typer.Argument(help="A problem of `mjslq list`.")],
+    methods: Annotated[
+        list[str] | None, typer.Option("--method", "-m", help="Compare these; all unless given.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", "-s", metavar="NAME=VALUE", help="Set a parameter of the problem, or a tolerance."),
+    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the costs into this .png, .svg or .pdf file.")] = None,
+) -> None:
+    """Solve a problem by every method from the same start: one table, one plot."""
+    _announce(quiet=False)
+    from rich.console import Console
+    from rich.table import Table
+
+    from mjslq import compare as comparing
+    from mjslq import problems
+    from mjslq._solve import COMMON
+    from mjslq._validation import choose
+
+    choose("problem", problem, problems.names())
+    if plot is not None:
+        choose("ending of a picture", plot.suffix, comparing.FORMATS)
+    parameters, options = _sort_settings(settings or [], problem, list(COMMON))
+    stated = problems.get(problem, **parameters)
+    titles = ("method", "status", "iterations", "rollouts", "seconds", "cost", "|gradient|")
+    table = Table(*titles, box=None, pad_edge=False, header_style="bold")
+    entries = []
+    for entry in comparing.compare(stated, methods or (), **options):
+        result = entry.result
+        print(f"{entry.method}: {result.status.value}", file=sys.stderr, flush=True)
+        numbers = (str(result.iterations), str(entry.evaluations), f"{result.seconds:.2f}")
+        table.add_row(entry.method, result.status.value, *numbers, f"{result.cost:.10g}", f"{result.gradient_norm:.1e}")
+        entries.append(entry)
+    Console().print(table)
+    if plot is not None:
+        comparing.plot(entries, plot, problem)
 
 
 @app.command()
@@ -243,21 +284,20 @@ def _announce(quiet: bool) -> None:
         announce_compilation(lambda message: print(message, file=sys.stderr, flush=True))
 
 
-def _sort_settings(settings: list[str], problem: str, method: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Split NAME=VALUE settings into parameters of the problem and options of the method."""
+def _sort_settings(settings: list[str], problem: str, own: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Split NAME=VALUE settings into parameters of the problem and options named in `own`."""
     from mjslq import problems
-    from mjslq._solve import option_names
     from mjslq._validation import choose
 
     parameters, options = {}, {}
-    known, own = problems.parameters(problem), option_names(method)
+    known = problems.parameters(problem)
     for setting in settings:
         name, equals, text = setting.partition("=")
         if not equals:
             raise ValueError(
                 f"--set takes NAME=VALUE, such as {next(iter(known))}={next(iter(known.values()))}, got {setting!r}"
             )
-        if choose(f"setting of {problem} or {method}", name, [*known, *own]) in known:
+        if choose(f"setting of {problem} or the method", name, [*known, *own]) in known:
             parameters[name] = _value(text)
         else:
             options[name] = _value(text)

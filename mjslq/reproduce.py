@@ -50,12 +50,12 @@ def slq() -> Iterator[Row]:
             yield _iterations(what, result, reported, f", height {off:+.2f} %")
     for alpha in (1e-4, 1e-5, 1e-6):
         result = solve(problems.get("hopper", alpha=alpha, engine="function"))
-        reported = "converges" if alpha >= 1e-5 else "no convergence"
+        paper = "converges" if alpha >= 1e-5 else "no convergence"
         ours = f"{result.status.value} in {result.iterations}"
         better = "the paper's method fails here, ours converges" if alpha < 1e-5 else "reproduced"
         yield Row(
             f"section 4.2, hopper, height 20, alpha = {alpha:g}",
-            reported,
+            paper,
             ours,
             better if result.success else "not reached",
         )
