@@ -1,0 +1,48 @@
+"""What the README and the demos show runs as it stands there."""
+
+import re
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+import mjslq
+
+ROOT = Path(__file__).parent.parent
+DEMOS = sorted(ROOT.glob("demos/[0-9]*.py"))
+
+
+@pytest.fixture
+def seen(monkeypatch, tmp_path):
+    """Results that were to be looked at, without a browser, in a folder of their own."""
+    shown = []
+    monkeypatch.setattr(mjslq, "view", shown.append)
+    monkeypatch.chdir(tmp_path)
+    return shown
+
+
+def test_readme_example_swings_the_pendulum_up(seen, tmp_path, capsys):
+    (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    names: dict = {}
+    exec(compile(example, "README.md", "exec"), names)
+    (result,) = seen
+    assert result.success
+    assert abs(result.trajectory.X[-1, 0] - names["upright"][0]) < 0.01
+    assert mjslq.load(tmp_path / "swing-up.npz").cost == result.cost
+    assert "converged" in capsys.readouterr().out
+
+
+def test_readme_names_every_method_and_command():
+    text = (ROOT / "README.md").read_text()
+    for name in mjslq.methods():
+        assert f"`{name}`" in text
+    for command in ("list", "solve", "compare", "reproduce", "view", "export", "check", "bench"):
+        assert f"mjslq {command}" in text
+
+
+@pytest.mark.parametrize("demo", DEMOS, ids=[demo.stem for demo in DEMOS])
+def test_demo_runs(demo, seen, monkeypatch):
+    monkeypatch.setattr(sys, "argv", [str(demo)])
+    runpy.run_path(str(demo), run_name="__main__")
+    assert seen and all(result.success for result in seen)
