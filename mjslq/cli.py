@@ -203,7 +203,7 @@ def compare(
         numbers = (str(result.iterations), str(entry.evaluations), f"{result.seconds:.2f}")
         table.add_row(entry.method, result.status.value, *numbers, f"{result.cost:.10g}", f"{result.gradient_norm:.1e}")
         entries.append(entry)
-    Console().print(table)
+    Console(width=max(110, Console().width)).print(table)
     if plot is not None:
         comparing.plot(entries, plot, problem)
 
