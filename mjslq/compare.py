@@ -48,6 +48,7 @@ def compare(problem: Problem, methods: Sequence[str] = (), **options: Any) -> It
     `options` are those that all methods know: tol, max_iterations, ...
     """
     for method in [choose("method", method, METHODS) for method in methods or METHODS]:
+        solve(problem, method, **(options | {"max_iterations": 1}))  # so that no method pays for another's compiling
         yield Entry(method, solve(problem, method, keep_iterates=False, **options))
 
 
@@ -74,6 +75,7 @@ def plot(entries: Sequence[Entry], path: str | os.PathLike[str], title: str = ""
     for axis, label in zip(axes, ("iteration", "time [s]"), strict=True):
         axis.set_xlabel(label)
         axis.grid(True, which="major", alpha=0.3)
+    axes[1].set_xscale("log")  # the slowest method would squeeze the others against the axis
     axes[0].set_ylabel(r"$(J - J_\mathrm{best})\, /\, |J_\mathrm{best}|$")
     axes[0].legend(frameon=False)
     figure.suptitle(title)
