@@ -9,7 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mjslq._validation import Array
+from mjslq.dynamics import _mujoco_inverse_columns as columns
 from mjslq.dynamics._base import compare_jacobians, fine_reference
+from mjslq.dynamics._mujoco_inverse_outputs import sensors
 from mjslq.dynamics._mujoco_models import drag_spec, hopper_spec
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.trajectory import Trajectory
@@ -132,6 +134,12 @@ def test_equality_constraints(integrator):
     assert_exact(dynamics, some_trajectory(dynamics, spread=0.0, speed=0.1), tolerance=1e-5, eps=1e-6)
 
 
+@pytest.mark.parametrize("integrator", models.INTEGRATORS)
+def test_equality_constraints_of_joints(integrator):
+    dynamics = dynamics_of(models.geared(integrator))
+    assert_exact(dynamics, some_trajectory(dynamics, spread=0.05, speed=0.5), eps=1e-6)
+
+
 def test_sparse_constraint_jacobian():
     xml = models.walker("implicitfast", "elliptic", soft=models.SOFT)
     dense = dynamics_of(xml.replace("<option", '<option jacobian="dense"'))
@@ -219,3 +227,80 @@ def test_uncovered_models_fall_back_with_a_reason():
     assert dynamics.jacobian == "transition"
     assert any("fluid" in served for _, served in dynamics.support_report())
     assert MujocoDynamics.from_xml(models.arm("Euler")).jacobian == "inverse"
+
+
+@pytest.mark.parametrize("integrator", models.INTEGRATORS)
+def test_sensors_in_closed_form(integrator):
+    dynamics = dynamics_of(models.sensed(integrator))
+    assert not (sensors(dynamics.model)["sen_kind"] == columns.BY_DIFFERENCES).any()
+    assert_exact(dynamics, some_trajectory(dynamics), tolerance=1e-8)
+
+
+def test_sensors_by_differences_beside_them():
+    extra = '<accelerometer site="s"/><force site="s"/><framepos objtype="site" objname="s" cutoff="10"/>'
+    dynamics = dynamics_of(models.sensed("implicitfast", extra))
+    assert sensors(dynamics.model)["sensors_differenced"]
+    trajectory = some_trajectory(dynamics, N=9)
+    assert_exact(dynamics, trajectory, tolerance=1e-6)
+    several = MujocoDynamics.from_model(dynamics.model, jacobian="inverse", threads=4)
+    for ours, theirs in zip(several.linearize(trajectory), dynamics.linearize(trajectory), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_sensors_in_contact():
+    sensor = '<sensor><framepos objtype="geom" objname="fl"/><subtreelinvel body="trunk"/></sensor></mujoco>'
+    xml = models.walker("implicitfast", "elliptic", soft=models.SOFT).replace("</mujoco>", sensor)
+    dynamics = dynamics_of(xml.replace('<body pos="0 0 0.36">', '<body name="trunk" pos="0 0 0.36">'))
+    trajectory = some_trajectory(dynamics, spread=0.0, speed=0.1, scale=0.05, base=STAND, settle=100)
+    assert_exact(dynamics, trajectory, eps=1e-6)
+
+
+@pytest.mark.parametrize("hands", models.HANDS)
+@pytest.mark.parametrize(
+    ("integrator", "cone", "condim"),
+    [
+        ("implicitfast", "pyramidal", 3),
+        ("Euler", "elliptic", 3),
+        ("implicit", "pyramidal", 6),
+        ("Euler", "elliptic", 6),
+    ],
+)
+def test_contacts_within_one_tree(hands, integrator, cone, condim):
+    dynamics = dynamics_of(models.clasp(hands, integrator, cone, condim))
+    trajectory = some_trajectory(dynamics, spread=0.0, speed=0.1, scale=0.1)
+    dynamics.linearize(trajectory)
+    assert dynamics._horizon._data[0].nefc > 0
+    if hands != "boxes":
+        assert_exact(dynamics, trajectory, eps=1e-6)
+        return
+    # what two boxes exchange has kinks, and a knot may lie on one
+    ours, fine = dynamics.linearize(trajectory).A, fine_reference(dynamics, trajectory, 1e-6).A
+    errors = np.abs(ours - fine).max(axis=(1, 2)) / np.abs(fine).max()
+    assert np.sort(errors)[-2] < 1e-7, errors
+
+
+@pytest.mark.parametrize(
+    "contact",
+    ['margin=".02" gap=".004"', 'solref="-500 -20"', 'solref=".03 .8" solimp=".3 .9 .05 .4 3"', 'solimp=".9 .9 .01"'],
+)
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+def test_contact_parameters(contact, cone):
+    dynamics = dynamics_of(models.dropped("sphere", "implicitfast", cone, 3, contact))
+    assert_exact(dynamics, some_trajectory(dynamics, spread=0.0, speed=0.1), tolerance=1e-6, eps=1e-6)
+
+
+def test_friction_with_a_reference_of_its_own():
+    pair = '<contact><pair geom1="floor" geom2="ball" solreffriction=".05 1" friction=".5 .8 .01 .01 .01"/></contact>'
+    xml = models.dropped("sphere", "Euler", "elliptic", 3).replace("<actuator>", pair + "<actuator>")
+    xml = xml.replace('<geom type="plane"', '<geom name="floor" type="plane"')
+    dynamics = dynamics_of(xml.replace('<geom type="sphere"', '<geom name="ball" type="sphere"'))
+    assert_exact(dynamics, some_trajectory(dynamics, spread=0.0, speed=0.1), tolerance=1e-6, eps=1e-6)
+
+
+def test_one_sided_differences_when_asked_for():
+    xml = models.linkage("Euler")
+    centred = dynamics_of(xml)
+    trajectory = some_trajectory(centred, spread=0.0, speed=0.1)
+    one_sided = dynamics_of(xml, centered=False).linearize(trajectory).A
+    reference = centred.linearize(trajectory).A
+    assert 0.0 < np.abs(one_sided - reference).max() < 1e-3 * np.abs(reference).max()

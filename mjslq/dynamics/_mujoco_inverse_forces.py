@@ -23,10 +23,24 @@ from __future__ import annotations
 import math
 
 import mujoco
-import numba
 
+from mjslq.dynamics._mujoco_inverse_columns import (
+    ACT_RANGE,
+    ACTUATOR_NUMBERS,
+    BAND,
+    BIAS,
+    CTRL_RANGE,
+    DAMPING,
+    FORCE_RANGE,
+    GAIN,
+    STIFFNESS,
+    TENDON_NUMBERS,
+    TIME_CONSTANT,
+)
+from mjslq.dynamics._mujoco_inverse_job import integers, matrix, vector
 from mjslq.dynamics._mujoco_inverse_spatial import (
     add3,
+    compiled,
     cross3,
     cross_force,
     dot6,
@@ -40,31 +54,35 @@ from mjslq.dynamics._mujoco_inverse_spatial import (
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 _FILTER = int(mujoco.mjtDyn.mjDYN_FILTER)
 
-# columns of m.act_prm
-GAIN, BIAS, TIME_CONSTANT, CTRL_RANGE, FORCE_RANGE, ACT_RANGE, ACTUATOR_NUMBERS = 0, 3, 6, 7, 9, 11, 13
-# columns of m.ten_prm
-BAND, STIFFNESS, DAMPING, ARMATURE, TENDON_NUMBERS = 0, 2, 5, 8, 9
 
-
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def add_springs(m, qpos, F):
+@compiled
+def add_springs(job, F):
     """F += df/dq of the joints' springs."""
-    for s in range(m.spring_dof.shape[0]):
-        i = m.spring_dof[s]
-        x = qpos[m.spring_qadr[s]] - m.spring_prm[s, 0]
-        F[i, i] -= m.spring_prm[s, 1] + x * (2.0 * m.spring_prm[s, 2] + x * 3.0 * m.spring_prm[s, 3])
-    for s in range(m.ball_dof.shape[0]):
-        _add_ball_spring(m, qpos, s, F)
+    spring_dof = integers(job.spring_dof, job.nspring)
+    spring_qadr = integers(job.spring_qadr, job.nspring)
+    spring_prm = matrix(job.spring_prm, job.nspring, 4)
+    ball_dof = integers(job.ball_dof, job.nball)
+    qpos = vector(job.qpos, job.nq)
+    for s in range(spring_dof.shape[0]):
+        i = spring_dof[s]
+        x = qpos[spring_qadr[s]] - spring_prm[s, 0]
+        F[i, i] -= spring_prm[s, 1] + x * (2.0 * spring_prm[s, 2] + x * 3.0 * spring_prm[s, 3])
+    for s in range(ball_dof.shape[0]):
+        _add_ball_spring(job, s, F)
 
 
-@inlined
-def _add_ball_spring(m, qpos, s, F):
+@compiled
+def _add_ball_spring(job, s, F):
     """Torque -g(t) phi with phi the rotation vector from rest, t its length, g(t) = k1 + k2 t + k3 t^2.
 
     dphi = J dq, with J = 1 + [phi]/2 + c [phi]^2 the inverse of the rotation group's right Jacobian.
     """
-    d, adr = m.ball_dof[s], m.ball_qadr[s]
-    r0, r1, r2, r3 = m.ball_prm[s, 0], m.ball_prm[s, 1], m.ball_prm[s, 2], m.ball_prm[s, 3]
+    ball_dof = integers(job.ball_dof, job.nball)
+    ball_qadr = integers(job.ball_qadr, job.nball)
+    ball_prm = matrix(job.ball_prm, job.nball, 7)
+    qpos = vector(job.qpos, job.nq)
+    d, adr = ball_dof[s], ball_qadr[s]
+    r0, r1, r2, r3 = ball_prm[s, 0], ball_prm[s, 1], ball_prm[s, 2], ball_prm[s, 3]
     q0, q1, q2, q3 = qpos[adr], qpos[adr + 1], qpos[adr + 2], qpos[adr + 3]
     w = r0 * q0 + r1 * q1 + r2 * q2 + r3 * q3
     e = (
@@ -82,9 +100,9 @@ def _add_ball_spring(m, qpos, s, F):
     small = size < 1e-3
     half = 1.0 if small else 0.5 * size
     c = 1.0 / 12.0 + t * t / 720.0 if small else (1.0 - half / math.tan(half)) / (t * t)
-    g = m.ball_prm[s, 4] + size * (m.ball_prm[s, 5] + size * m.ball_prm[s, 6])
+    g = ball_prm[s, 4] + size * (ball_prm[s, 5] + size * ball_prm[s, 6])
     # phi' J = phi', so that the change of the length t along dq is phi . dq / t
-    slope = 0.0 if size < 1e-12 else (m.ball_prm[s, 5] + 2.0 * size * m.ball_prm[s, 6]) / size
+    slope = 0.0 if size < 1e-12 else (ball_prm[s, 5] + 2.0 * size * ball_prm[s, 6]) / size
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         F[d + i, d + i] -= g * (1.0 + c * (phi[i] * phi[i] - t * t)) + slope * phi[i] * phi[i]
@@ -92,32 +110,41 @@ def _add_ball_spring(m, qpos, s, F):
         F[d + i, d + k] -= g * (0.5 * phi[j] + c * phi[i] * phi[k]) + slope * phi[i] * phi[k]
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def add_dampers(m, qvel, acc, F, T, E):
+@compiled
+def add_dampers(job, acc, F, T, E):
     """F += df/dv and T += df/dv of the joints' dampers, E += h dT a where the integrator takes them implicitly."""
-    nv = m.nv
+    dof_damping = matrix(job.dof_damping, job.nv, 3)
+    qvel = vector(job.qvel, job.nv)
+    nv = job.nv
     for i in range(nv):
-        d1, d2, d3, v = m.dof_damping[i, 0], m.dof_damping[i, 1], m.dof_damping[i, 2], qvel[i]
+        d1, d2, d3, v = dof_damping[i, 0], dof_damping[i, 1], dof_damping[i, 2], qvel[i]
         slope = d1 + 2.0 * d2 * abs(v) + 3.0 * d3 * v * v
         T[i, i] -= slope
         F[i, nv + i] -= slope
-        if m.implicit >= 1 and (d2 != 0.0 or d3 != 0.0):
-            E[i, nv + i] -= m.h * (2.0 * math.copysign(d2, d2 * v) + 6.0 * d3 * v) * acc[i]
+        if job.implicit >= 1 and (d2 != 0.0 or d3 != 0.0):
+            E[i, nv + i] -= job.h * (2.0 * math.copysign(d2, d2 * v) + 6.0 * d3 * v) * acc[i]
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def add_tendons(m, qpos, qvel, acc, F, T, E):
+@compiled
+def add_tendons(job, acc, F, T, E):
     """Do the same for the springs and dampers of fixed tendons, whose lengths are linear in the joints' positions."""
-    nv = m.nv
-    for t in range(m.ten_prm.shape[0]):
-        first, last = m.ten_first[t], m.ten_first[t + 1]
-        prm = m.ten_prm[t]
+    dof_qadr = integers(job.dof_qadr, job.nv)
+    ten_first = integers(job.ten_first, job.ntendon + 1)
+    ten_dof = integers(job.ten_dof, job.nten_coef)
+    ten_coef = vector(job.ten_coef, job.nten_coef)
+    ten_prm = matrix(job.ten_prm, job.ntendon, TENDON_NUMBERS)
+    qpos = vector(job.qpos, job.nq)
+    qvel = vector(job.qvel, job.nv)
+    nv = job.nv
+    for t in range(ten_prm.shape[0]):
+        first, last = ten_first[t], ten_first[t + 1]
+        prm = ten_prm[t]
         length, velocity, rate = 0.0, 0.0, 0.0
         for k in range(first, last):
-            i = m.ten_dof[k]
-            length += m.ten_coef[k] * qpos[m.dof_qadr[i]]
-            velocity += m.ten_coef[k] * qvel[i]
-            rate += m.ten_coef[k] * acc[i]
+            i = ten_dof[k]
+            length += ten_coef[k] * qpos[dof_qadr[i]]
+            velocity += ten_coef[k] * qvel[i]
+            rate += ten_coef[k] * acc[i]
         x = 0.0
         if length > prm[BAND + 1]:
             x = length - prm[BAND + 1]
@@ -129,12 +156,12 @@ def add_tendons(m, qpos, qvel, acc, F, T, E):
         d1, d2, d3 = prm[DAMPING], prm[DAMPING + 1], prm[DAMPING + 2]
         slope = d1 + 2.0 * d2 * abs(velocity) + 3.0 * d3 * velocity * velocity
         curvature = 0.0
-        if m.implicit >= 2 and (d2 != 0.0 or d3 != 0.0):
-            curvature = m.h * (2.0 * math.copysign(d2, d2 * velocity) + 6.0 * d3 * velocity) * rate
+        if job.implicit >= 2 and (d2 != 0.0 or d3 != 0.0):
+            curvature = job.h * (2.0 * math.copysign(d2, d2 * velocity) + 6.0 * d3 * velocity) * rate
         for k in range(first, last):
-            i, ci = m.ten_dof[k], m.ten_coef[k]
+            i, ci = ten_dof[k], ten_coef[k]
             for n in range(first, last):
-                j, c = m.ten_dof[n], ci * m.ten_coef[n]
+                j, c = ten_dof[n], ci * ten_coef[n]
                 F[i, j] -= c * stiffness
                 F[i, nv + j] -= c * slope
                 T[i, j] -= c * slope
@@ -152,130 +179,177 @@ def _clip(x, lower, upper):
     return x, 1.0
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def activate(m, act, ctrl, w):
+@compiled
+def activate(job):
     """Inputs of the actuators with their derivatives by u and act, and those of the next activations.
 
-    Writes w.input (input, its derivatives by u and act) and w.next_act (derivatives by u and act).
+    Writes act_input (input, its derivatives by u and act) and next_act (derivatives by u and act).
     """
-    for i in range(m.nu):
-        prm, k, kind = m.act_prm[i], m.act_adr[i], m.act_dynamics[i]
+    act_prm = matrix(job.act_prm, job.nu, ACTUATOR_NUMBERS)
+    act_adr = integers(job.act_adr, job.nu)
+    act_dynamics = integers(job.act_dynamics, job.nu)
+    act_early = integers(job.act_early, job.nu)
+    act_enabled = integers(job.act_enabled, job.nu)
+    act = vector(job.act, job.na)
+    ctrl = vector(job.ctrl, job.nu)
+    act_input = matrix(job.act_input, job.nu, 3)
+    next_act = matrix(job.next_act, job.nu, 2)
+    for i in range(job.nu):
+        prm, k, kind = act_prm[i], act_adr[i], act_dynamics[i]
         u, by_u = _clip(ctrl[i], prm[CTRL_RANGE], prm[CTRL_RANGE + 1])
         if k < 0:
-            w.input[i, 0], w.input[i, 1], w.input[i, 2] = u, by_u, 0.0
+            act_input[i, 0], act_input[i, 1], act_input[i, 2] = u, by_u, 0.0
             continue
         tau = prm[TIME_CONSTANT]
         if kind == _INTEGRATOR:
-            change, slope_u, slope_a = m.h * u, m.h, 0.0
+            change, slope_u, slope_a = job.h * u, job.h, 0.0
         elif kind == _FILTER:
-            change, slope_u, slope_a = m.h / tau * (u - act[k]), m.h / tau, -m.h / tau
+            change, slope_u, slope_a = job.h / tau * (u - act[k]), job.h / tau, -job.h / tau
         else:
-            part = 1.0 - math.exp(-m.h / tau)
+            part = 1.0 - math.exp(-job.h / tau)
             change, slope_u, slope_a = part * (u - act[k]), part, -part
-        if m.act_enabled[i] == 0:
+        if act_enabled[i] == 0:
             change, slope_u, slope_a = 0.0, 0.0, 0.0
         following, inside = _clip(act[k] + change, prm[ACT_RANGE], prm[ACT_RANGE + 1])
-        w.next_act[i, 0], w.next_act[i, 1] = inside * slope_u * by_u, inside * (1.0 + slope_a)
-        if m.act_early[i] == 1:
-            w.input[i, 0], w.input[i, 1], w.input[i, 2] = following, w.next_act[i, 0], w.next_act[i, 1]
+        next_act[i, 0], next_act[i, 1] = inside * slope_u * by_u, inside * (1.0 + slope_a)
+        if act_early[i] == 1:
+            act_input[i, 0], act_input[i, 1], act_input[i, 2] = following, next_act[i, 0], next_act[i, 1]
         else:
-            w.input[i, 0], w.input[i, 1], w.input[i, 2] = act[k], 0.0, 1.0
+            act_input[i, 0], act_input[i, 1], act_input[i, 2] = act[k], 0.0, 1.0
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def actuate(m, qpos, qvel, w):
-    """Forces of the actuators: w.act_force = (force, d/dlength, d/dvelocity, d/du, d/dact, dgain/dvelocity).
+@compiled
+def actuate(job):
+    """Forces of the actuators: act_force = (force, d/dlength, d/dvelocity, d/du, d/dact, dgain/dvelocity).
 
-    Clears w.act_free for the dofs whose joint clips what the actuators exert on it together.
+    Clears act_free for the dofs whose joint clips what the actuators exert on it together.
     """
-    for j in range(m.nv):
-        w.act_free[j] = 1.0
-        w.act_sum[j] = 0.0
-    for i in range(m.nu):
-        prm = m.act_prm[i]
+    dof_qadr = integers(job.dof_qadr, job.nv)
+    act_first = integers(job.act_first, job.nu + 1)
+    act_dof = integers(job.act_dof, job.nact_coef)
+    act_coef = vector(job.act_coef, job.nact_coef)
+    act_prm = matrix(job.act_prm, job.nu, ACTUATOR_NUMBERS)
+    act_enabled = integers(job.act_enabled, job.nu)
+    dof_force_range = matrix(job.dof_force_range, job.nv, 2)
+    qpos = vector(job.qpos, job.nq)
+    qvel = vector(job.qvel, job.nv)
+    act_input = matrix(job.act_input, job.nu, 3)
+    act_force = matrix(job.act_force, job.nu, 6)
+    act_free = vector(job.act_free, job.nv)
+    act_sum = vector(job.act_sum, job.nv)
+    for j in range(job.nv):
+        act_free[j] = 1.0
+        act_sum[j] = 0.0
+    for i in range(job.nu):
+        prm = act_prm[i]
         length, velocity = 0.0, 0.0
-        for k in range(m.act_first[i], m.act_first[i + 1]):
-            j = m.act_dof[k]
-            if m.dof_qadr[j] >= 0:
-                length += m.act_coef[k] * qpos[m.dof_qadr[j]]
-            velocity += m.act_coef[k] * qvel[j]
+        for k in range(act_first[i], act_first[i + 1]):
+            j = act_dof[k]
+            if dof_qadr[j] >= 0:
+                length += act_coef[k] * qpos[dof_qadr[j]]
+            velocity += act_coef[k] * qvel[j]
         gain = prm[GAIN] + prm[GAIN + 1] * length + prm[GAIN + 2] * velocity
         bias = prm[BIAS] + prm[BIAS + 1] * length + prm[BIAS + 2] * velocity
-        x = w.input[i, 0]
+        x = act_input[i, 0]
         force, inside = _clip(gain * x + bias, prm[FORCE_RANGE], prm[FORCE_RANGE + 1])
-        if m.act_enabled[i] == 0:
+        if act_enabled[i] == 0:
             force, inside = 0.0, 0.0
-        w.act_force[i, 0] = force
-        w.act_force[i, 1] = inside * (prm[GAIN + 1] * x + prm[BIAS + 1])
-        w.act_force[i, 2] = inside * (prm[GAIN + 2] * x + prm[BIAS + 2])
-        w.act_force[i, 3] = inside * gain * w.input[i, 1]
-        w.act_force[i, 4] = inside * gain * w.input[i, 2]
-        w.act_force[i, 5] = inside * prm[GAIN + 2]
-        for k in range(m.act_first[i], m.act_first[i + 1]):
-            w.act_sum[m.act_dof[k]] += m.act_coef[k] * force
-    for j in range(m.nv):
-        if w.act_sum[j] < m.dof_force_range[j, 0] or w.act_sum[j] > m.dof_force_range[j, 1]:
-            w.act_free[j] = 0.0
+        act_force[i, 0] = force
+        act_force[i, 1] = inside * (prm[GAIN + 1] * x + prm[BIAS + 1])
+        act_force[i, 2] = inside * (prm[GAIN + 2] * x + prm[BIAS + 2])
+        act_force[i, 3] = inside * gain * act_input[i, 1]
+        act_force[i, 4] = inside * gain * act_input[i, 2]
+        act_force[i, 5] = inside * prm[GAIN + 2]
+        for k in range(act_first[i], act_first[i + 1]):
+            act_sum[act_dof[k]] += act_coef[k] * force
+    for j in range(job.nv):
+        if act_sum[j] < dof_force_range[j, 0] or act_sum[j] > dof_force_range[j, 1]:
+            act_free[j] = 0.0
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def add_actuators(m, acc, w, F, T, E):
+@compiled
+def add_actuators(job, acc, F, T, E):
     """F += df/dz, T += df/dv, E += h dT a of the actuators on joints and fixed tendons."""
-    nv, na = m.nv, m.na
-    for i in range(m.nu):
-        by_length, by_velocity, by_u, by_act = w.act_force[i, 1], w.act_force[i, 2], w.act_force[i, 3], w.act_force[i, 4]
-        column_u, column_act = 2 * nv + na + i, 2 * nv + m.act_adr[i]
+    act_first = integers(job.act_first, job.nu + 1)
+    act_dof = integers(job.act_dof, job.nact_coef)
+    act_coef = vector(job.act_coef, job.nact_coef)
+    act_adr = integers(job.act_adr, job.nu)
+    act_input = matrix(job.act_input, job.nu, 3)
+    act_force = matrix(job.act_force, job.nu, 6)
+    act_free = vector(job.act_free, job.nv)
+    nv, na = job.nv, job.na
+    for i in range(job.nu):
+        by_length, by_velocity, by_u, by_act = (
+            act_force[i, 1],
+            act_force[i, 2],
+            act_force[i, 3],
+            act_force[i, 4],
+        )
+        column_u, column_act = 2 * nv + na + i, 2 * nv + act_adr[i]
         rate = 0.0
-        if m.implicit >= 2 and w.act_force[i, 5] != 0.0:
-            for k in range(m.act_first[i], m.act_first[i + 1]):
-                rate += m.h * w.act_force[i, 5] * m.act_coef[k] * acc[m.act_dof[k]]
-        for k in range(m.act_first[i], m.act_first[i + 1]):
-            j = m.act_dof[k]
-            c = m.act_coef[k] * w.act_free[j]
+        if job.implicit >= 2 and act_force[i, 5] != 0.0:
+            for k in range(act_first[i], act_first[i + 1]):
+                rate += job.h * act_force[i, 5] * act_coef[k] * acc[act_dof[k]]
+        for k in range(act_first[i], act_first[i + 1]):
+            j = act_dof[k]
+            c = act_coef[k] * act_free[j]
             F[j, column_u] += c * by_u
-            if m.act_adr[i] >= 0:
+            if act_adr[i] >= 0:
                 F[j, column_act] += c * by_act
             if by_length != 0.0 or by_velocity != 0.0:
-                for n in range(m.act_first[i], m.act_first[i + 1]):
-                    F[j, m.act_dof[n]] += c * m.act_coef[n] * by_length
-                    F[j, nv + m.act_dof[n]] += c * m.act_coef[n] * by_velocity
-                    T[j, m.act_dof[n]] += c * m.act_coef[n] * by_velocity
+                for n in range(act_first[i], act_first[i + 1]):
+                    F[j, act_dof[n]] += c * act_coef[n] * by_length
+                    F[j, nv + act_dof[n]] += c * act_coef[n] * by_velocity
+                    T[j, act_dof[n]] += c * act_coef[n] * by_velocity
             if rate != 0.0:
-                E[j, column_u] += c * rate * w.input[i, 1]
-                if m.act_adr[i] >= 0:
-                    E[j, column_act] += c * rate * w.input[i, 2]
+                E[j, column_u] += c * rate * act_input[i, 1]
+                if act_adr[i] >= 0:
+                    E[j, column_act] += c * rate * act_input[i, 2]
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def add_site_actuators(m, cdof, site_xpos, site_xmat, subtree_com, w, F):
+@compiled
+def add_site_actuators(job, F):
     """F += df/dz of actuators that push at a site: a wrench W that moves with the site's body.
 
     Their generalized force is S_j . W. Turning a dof i turns W, and with it all S_j beyond i: what is left is
     S_j . (S_i x* W) for the j before i.
     """
-    nv, na = m.nv, m.na
-    for i in range(m.nu):
-        site = m.act_site[i]
+    body_rootid = integers(job.body_rootid, job.nbody)
+    body_lastdof = integers(job.body_lastdof, job.nbody)
+    dof_parentid = integers(job.dof_parentid, job.nv)
+    dof_group = integers(job.dof_group, job.nv)
+    act_adr = integers(job.act_adr, job.nu)
+    act_site = integers(job.act_site, job.nu)
+    act_body = integers(job.act_body, job.nu)
+    act_gear = matrix(job.act_gear, job.nu, 6)
+    cdof = matrix(job.cdof, job.nv, 6)
+    subtree_com = matrix(job.subtree_com, job.nbody, 3)
+    site_xpos = matrix(job.site_xpos, job.nsite, 3)
+    site_xmat = matrix(job.site_xmat, job.nsite, 9)
+    act_force = matrix(job.act_force, job.nu, 6)
+    nv, na = job.nv, job.na
+    for i in range(job.nu):
+        site = act_site[i]
         if site < 0:
             continue
-        body, R, gear = m.act_body[i], site_xmat[site], m.act_gear[i]
+        body, R, gear = act_body[i], site_xmat[site], act_gear[i]
         push = _turn(R, gear[0], gear[1], gear[2])
-        x = sub3(row3(site_xpos, site), row3(subtree_com, m.body_rootid[body]))
+        x = sub3(row3(site_xpos, site), row3(subtree_com, body_rootid[body]))
         W = join(add3(_turn(R, gear[3], gear[4], gear[5]), cross3(x, push)), push)
-        force = w.act_force[i, 0]
-        last = m.body_lastdof[body]
+        force = act_force[i, 0]
+        last = body_lastdof[body]
         k = last
         while k >= 0:
             moment = dot6(row6(cdof, k), W)
-            F[k, 2 * nv + na + i] += moment * w.act_force[i, 3]
-            if m.act_adr[i] >= 0:
-                F[k, 2 * nv + m.act_adr[i]] += moment * w.act_force[i, 4]
+            F[k, 2 * nv + na + i] += moment * act_force[i, 3]
+            if act_adr[i] >= 0:
+                F[k, 2 * nv + act_adr[i]] += moment * act_force[i, 4]
             turned = cross_force(row6(cdof, k), W)
-            j = m.dof_parentid[m.dof_group[k]]
+            j = dof_parentid[dof_group[k]]
             while j >= 0:
                 F[j, k] += force * dot6(row6(cdof, j), turned)
-                j = m.dof_parentid[j]
-            k = m.dof_parentid[k]
+                j = dof_parentid[j]
+            k = dof_parentid[k]
 
 
 @inlined

@@ -30,11 +30,11 @@ so that twelve numbers per body stand for its 36 entries, six of which are the m
 
 from __future__ import annotations
 
-import numba
-
+from mjslq.dynamics._mujoco_inverse_job import integers, matrix, vector
 from mjslq.dynamics._mujoco_inverse_spatial import (
     add3,
     add6,
+    compiled,
     cross3,
     cross_force,
     cross_motion,
@@ -55,12 +55,12 @@ from mjslq.dynamics._mujoco_inverse_spatial import (
 
 
 @inlined
-def _coriolis_matrix(Y, b, I, v):
+def _coriolis_matrix(Y, b, inertia, v):
     """Write Y of body b into its row, as Yxx Yyy Yzz Yxy Yxz Yyz."""
     w0, w1, w2 = head(v)
     l0, l1, l2 = tail(v)
-    xx, yy, zz, xy, xz, yz = I[b, 0], I[b, 1], I[b, 2], I[b, 3], I[b, 4], I[b, 5]
-    c0, c1, c2 = I[b, 6], I[b, 7], I[b, 8]
+    xx, yy, zz, xy, xz, yz = row6(inertia, b)
+    c0, c1, c2 = inertia[b, 6], inertia[b, 7], inertia[b, 8]
     twice = 2.0 * (c0 * l0 + c1 * l1 + c2 * l2)
     Y[b, 0] = 2.0 * (w1 * xz - w2 * xy) - 2.0 * c0 * l0 + twice
     Y[b, 1] = 2.0 * (w2 * xy - w0 * yz) - 2.0 * c1 * l1 + twice
@@ -80,153 +80,242 @@ def _symmetric_times(Y, b, a):
     )
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def outward(m, cdof, cinert, qvel, qacc, gravity, w):
-    """Velocities, accelerations, forces from the roots to the leaves; fills P, Q, R of the dofs, I, h, f, Y of bodies."""
-    put6(w.vel, 0, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    put6(w.acc, 0, (0.0, 0.0, 0.0, -gravity[0], -gravity[1], -gravity[2]))
-    for b in range(1, m.nbody):
-        parent = m.body_parentid[b]
-        v, a = row6(w.vel, parent), row6(w.acc, parent)
-        first, end = m.body_dofadr[b], m.body_dofadr[b] + m.body_dofnum[b]
+@compiled
+def outward(job, vel, acc):
+    """Go from the roots to the leaves: P, Q, R of the dofs, v, a, h, f, I, Y of the bodies."""
+    body_parentid = integers(job.body_parentid, job.nbody)
+    body_dofadr = integers(job.body_dofadr, job.nbody)
+    body_dofnum = integers(job.body_dofnum, job.nbody)
+    dof_groupend = integers(job.dof_groupend, job.nv)
+    gravity = vector(job.gravity, 3)
+    cdof = matrix(job.cdof, job.nv, 6)
+    cinert = matrix(job.cinert, job.nbody, 10)
+    body_vel = matrix(job.body_vel, job.nbody, 6)
+    body_acc = matrix(job.body_acc, job.nbody, 6)
+    body_momentum = matrix(job.body_momentum, job.nbody, 6)
+    body_force = matrix(job.body_force, job.nbody, 6)
+    body_Y = matrix(job.body_Y, job.nbody, 6)
+    body_inertia = matrix(job.body_inertia, job.nbody, 10)
+    dof_P = matrix(job.dof_P, job.nv, 6)
+    dof_Q = matrix(job.dof_Q, job.nv, 6)
+    dof_R = matrix(job.dof_R, job.nv, 6)
+    put6(body_vel, 0, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    put6(body_acc, 0, (0.0, 0.0, 0.0, -gravity[0], -gravity[1], -gravity[2]))
+    for b in range(1, job.nbody):
+        parent = body_parentid[b]
+        v, a = row6(body_vel, parent), row6(body_acc, parent)
+        first, end = body_dofadr[b], body_dofadr[b] + body_dofnum[b]
         while first < end:
-            last = m.dof_groupend[first]
+            last = dof_groupend[first]
             after_v, after_a = v, a
             for i in range(first, last):
-                after_v = add6(after_v, scale6(qvel[i], row6(cdof, i)))
+                after_v = add6(after_v, scale6(vel[i], row6(cdof, i)))
             for i in range(first, last):
                 S = row6(cdof, i)
                 P, own = cross_motion(v, S), cross_motion(after_v, S)
-                put6(w.P, i, P)
-                put6(w.Q, i, add6(P, own))
-                put6(w.R, i, add6(cross_motion(a, S), cross_motion(v, P)))
+                put6(dof_P, i, P)
+                put6(dof_Q, i, add6(P, own))
+                put6(dof_R, i, add6(cross_motion(a, S), cross_motion(v, P)))
                 # a dof alone in its group adds nothing to its own rate of change: own is P, up to S x S = 0
-                after_a = add6(after_a, add6(scale6(qacc[i], S), scale6(qvel[i], own)))
+                after_a = add6(after_a, add6(scale6(acc[i], S), scale6(vel[i], own)))
             v, a, first = after_v, after_a, last
-        put6(w.vel, b, v)
-        put6(w.acc, b, a)
+        put6(body_vel, b, v)
+        put6(body_acc, b, a)
         h = inertia_times(cinert, b, v)
-        put6(w.momentum, b, h)
-        put6(w.force, b, add6(inertia_times(cinert, b, a), cross_force(v, h)))
+        put6(body_momentum, b, h)
+        put6(body_force, b, add6(inertia_times(cinert, b, a), cross_force(v, h)))
         for k in range(10):
-            w.inertia[b, k] = cinert[b, k]
-        _coriolis_matrix(w.Y, b, cinert, v)
+            body_inertia[b, k] = cinert[b, k]
+        _coriolis_matrix(body_Y, b, cinert, v)
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def inward(m, w):
+@compiled
+def inward(job):
     """Sum inertias, momenta, forces and Y over the subtrees."""
-    for b in range(m.nbody - 1, 0, -1):
-        parent = m.body_parentid[b]
+    body_parentid = integers(job.body_parentid, job.nbody)
+    body_momentum = matrix(job.body_momentum, job.nbody, 6)
+    body_force = matrix(job.body_force, job.nbody, 6)
+    body_Y = matrix(job.body_Y, job.nbody, 6)
+    body_inertia = matrix(job.body_inertia, job.nbody, 10)
+    for b in range(job.nbody - 1, 0, -1):
+        parent = body_parentid[b]
         if parent > 0:
             for k in range(6):
-                w.momentum[parent, k] += w.momentum[b, k]
-                w.force[parent, k] += w.force[b, k]
-                w.Y[parent, k] += w.Y[b, k]
+                body_momentum[parent, k] += body_momentum[b, k]
+                body_force[parent, k] += body_force[b, k]
+                body_Y[parent, k] += body_Y[b, k]
             for k in range(10):
-                w.inertia[parent, k] += w.inertia[b, k]
+                body_inertia[parent, k] += body_inertia[b, k]
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def subtract_derivatives(m, cdof, w, Rq, Rv, M):
-    """Rq -= dtau/dq, Rv -= dtau/dv; M is written, in the entries of dofs on one branch (armature included)."""
-    for i in range(m.nv):
-        b = m.dof_bodyid[i]
-        S, P, R, Q = row6(cdof, i), row6(w.P, i), row6(w.R, i), row6(w.Q, i)
-        n, p = row3(w.momentum, b), (w.momentum[b, 3], w.momentum[b, 4], w.momentum[b, 5])
-        IS = inertia_times(w.inertia, b, S)
+@compiled
+def mass_matrix(job, M):
+    """Write M, in the entries of dofs on one branch (armature included)."""
+    body_parentid = integers(job.body_parentid, job.nbody)
+    dof_bodyid = integers(job.dof_bodyid, job.nv)
+    dof_parentid = integers(job.dof_parentid, job.nv)
+    dof_armature = vector(job.dof_armature, job.nv)
+    cdof = matrix(job.cdof, job.nv, 6)
+    cinert = matrix(job.cinert, job.nbody, 10)
+    body_inertia = matrix(job.body_inertia, job.nbody, 10)
+    for b in range(job.nbody):
+        for k in range(10):
+            body_inertia[b, k] = cinert[b, k]
+    for b in range(job.nbody - 1, 0, -1):
+        parent = body_parentid[b]
+        if parent > 0:
+            for k in range(10):
+                body_inertia[parent, k] += body_inertia[b, k]
+    for i in range(job.nv):
+        IS = inertia_times(body_inertia, dof_bodyid[i], row6(cdof, i))
+        j = i
+        while j >= 0:
+            M[i, j] = M[j, i] = dot6(IS, row6(cdof, j))
+            j = dof_parentid[j]
+        M[i, i] += dof_armature[i]
+
+
+@compiled
+def subtract_derivatives(job, F, M):
+    """F -= dtau/dz; M is written, in the entries of dofs on one branch (armature included)."""
+    dof_bodyid = integers(job.dof_bodyid, job.nv)
+    dof_parentid = integers(job.dof_parentid, job.nv)
+    dof_group = integers(job.dof_group, job.nv)
+    dof_groupend = integers(job.dof_groupend, job.nv)
+    dof_armature = vector(job.dof_armature, job.nv)
+    cdof = matrix(job.cdof, job.nv, 6)
+    body_momentum = matrix(job.body_momentum, job.nbody, 6)
+    body_force = matrix(job.body_force, job.nbody, 6)
+    body_Y = matrix(job.body_Y, job.nbody, 6)
+    body_inertia = matrix(job.body_inertia, job.nbody, 10)
+    dof_P = matrix(job.dof_P, job.nv, 6)
+    dof_Q = matrix(job.dof_Q, job.nv, 6)
+    dof_R = matrix(job.dof_R, job.nv, 6)
+    nv = job.nv
+    for i in range(nv):
+        b = dof_bodyid[i]
+        S, P, R, Q = row6(cdof, i), row6(dof_P, i), row6(dof_R, i), row6(dof_Q, i)
+        n, p = row3(body_momentum, b), (body_momentum[b, 3], body_momentum[b, 4], body_momentum[b, 5])
+        IS = inertia_times(body_inertia, b, S)
         # S' 2B has an angular part only
-        row = add3(add3(_symmetric_times(w.Y, b, head(S)), cross3(n, head(S))), scale3(2.0, cross3(p, tail(S))))
-        turned = sub3(_symmetric_times(w.Y, b, head(P)), cross3(n, head(P)))
-        column_q = add6(join(turned, scale3(-2.0, cross3(p, head(P)))), inertia_times(w.inertia, b, R))
-        column_q = add6(column_q, cross_force(S, row6(w.force, b)))
-        turned = sub3(_symmetric_times(w.Y, b, head(S)), cross3(n, head(S)))
-        column_v = add6(join(turned, scale3(-2.0, cross3(p, head(S)))), inertia_times(w.inertia, b, Q))
-        for j in range(i + 1, m.dof_groupend[i]):
-            Rq[i, j] -= dot3(row, row3(w.P, j)) + dot6(IS, row6(w.R, j))
-            Rv[i, j] -= dot3(row, row3(cdof, j)) + dot6(IS, row6(w.Q, j))
+        row = add3(add3(_symmetric_times(body_Y, b, head(S)), cross3(n, head(S))), scale3(2.0, cross3(p, tail(S))))
+        turned = sub3(_symmetric_times(body_Y, b, head(P)), cross3(n, head(P)))
+        column_q = add6(join(turned, scale3(-2.0, cross3(p, head(P)))), inertia_times(body_inertia, b, R))
+        column_q = add6(column_q, cross_force(S, row6(body_force, b)))
+        turned = sub3(_symmetric_times(body_Y, b, head(S)), cross3(n, head(S)))
+        column_v = add6(join(turned, scale3(-2.0, cross3(p, head(S)))), inertia_times(body_inertia, b, Q))
+        for j in range(i + 1, dof_groupend[i]):
+            F[i, j] -= dot3(row, row3(dof_P, j)) + dot6(IS, row6(dof_R, j))
+            F[i, nv + j] -= dot3(row, row3(cdof, j)) + dot6(IS, row6(dof_Q, j))
         j = i
         while j >= 0:
             Sj = row6(cdof, j)
-            Rq[i, j] -= dot3(row, row3(w.P, j)) + dot6(IS, row6(w.R, j))
-            Rv[i, j] -= dot3(row, head(Sj)) + dot6(IS, row6(w.Q, j))
+            F[i, j] -= dot3(row, row3(dof_P, j)) + dot6(IS, row6(dof_R, j))
+            F[i, nv + j] -= dot3(row, head(Sj)) + dot6(IS, row6(dof_Q, j))
             M[i, j] = M[j, i] = dot6(IS, Sj)
-            if m.dof_group[j] != m.dof_group[i]:
-                Rq[j, i] -= dot6(Sj, column_q)
-                Rv[j, i] -= dot6(Sj, column_v)
-            j = m.dof_parentid[j]
-        M[i, i] += m.dof_armature[i]
+            if dof_group[j] != dof_group[i]:
+                F[j, i] -= dot6(Sj, column_q)
+                F[j, nv + i] -= dot6(Sj, column_v)
+            j = dof_parentid[j]
+        M[i, i] += dof_armature[i]
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def add_field_derivative(m, cdof, sign, w, Rq):
-    """Rq += sign d(sum_b J_b' I_b a_b)/dq for accelerations that a body's own motion does not change.
+@compiled
+def add_field_derivative(job, sign, F):
+    """F += sign d(sum_b J_b' I_b a_b)/dq for accelerations that a body's own motion does not change.
 
-    Before the call, `w.R` holds a x S for the acceleration a before each dof, `w.inertia` and `w.force` the sums over
-    subtrees of I_b and I_b a_b. With a = sum S_j x_j this is d(M x)/dq; with a uniform one, a weight's derivative.
+    Before the call, `dof_R` holds a x S for the acceleration a before each dof, `body_inertia` and `body_force` the
+    sums over subtrees of I_b and I_b a_b. With a = sum S_j x_j this is d(M x)/dq; with a uniform one, the derivative
+    of weights.
     """
-    for i in range(m.nv):
-        b = m.dof_bodyid[i]
+    dof_bodyid = integers(job.dof_bodyid, job.nv)
+    dof_parentid = integers(job.dof_parentid, job.nv)
+    dof_group = integers(job.dof_group, job.nv)
+    dof_groupend = integers(job.dof_groupend, job.nv)
+    cdof = matrix(job.cdof, job.nv, 6)
+    body_force = matrix(job.body_force, job.nbody, 6)
+    body_inertia = matrix(job.body_inertia, job.nbody, 10)
+    dof_R = matrix(job.dof_R, job.nv, 6)
+    for i in range(job.nv):
+        b = dof_bodyid[i]
         S = row6(cdof, i)
-        IS = inertia_times(w.inertia, b, S)
-        column = add6(inertia_times(w.inertia, b, row6(w.R, i)), cross_force(S, row6(w.force, b)))
-        for j in range(i + 1, m.dof_groupend[i]):
-            Rq[i, j] += sign * dot6(IS, row6(w.R, j))
+        IS = inertia_times(body_inertia, b, S)
+        column = add6(inertia_times(body_inertia, b, row6(dof_R, i)), cross_force(S, row6(body_force, b)))
+        for j in range(i + 1, dof_groupend[i]):
+            F[i, j] += sign * dot6(IS, row6(dof_R, j))
         j = i
         while j >= 0:
-            Rq[i, j] += sign * dot6(IS, row6(w.R, j))
-            if m.dof_group[j] != m.dof_group[i]:
-                Rq[j, i] += sign * dot6(row6(cdof, j), column)
-            j = m.dof_parentid[j]
+            F[i, j] += sign * dot6(IS, row6(dof_R, j))
+            if dof_group[j] != dof_group[i]:
+                F[j, i] += sign * dot6(row6(cdof, j), column)
+            j = dof_parentid[j]
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def add_mass_derivative(m, cdof, cinert, x, sign, w, Rq):
-    """Rq += sign d(M x)/dq at fixed x; uses up the forces and R of the dofs, keeps the subtrees' inertias."""
-    put6(w.acc, 0, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    for b in range(1, m.nbody):
-        a = row6(w.acc, m.body_parentid[b])
-        first, end = m.body_dofadr[b], m.body_dofadr[b] + m.body_dofnum[b]
+@compiled
+def add_mass_derivative(job, x, sign, F):
+    """F += sign d(M x)/dq at fixed x; uses up the forces and R of the dofs, keeps the subtrees' inertias."""
+    body_parentid = integers(job.body_parentid, job.nbody)
+    body_dofadr = integers(job.body_dofadr, job.nbody)
+    body_dofnum = integers(job.body_dofnum, job.nbody)
+    dof_groupend = integers(job.dof_groupend, job.nv)
+    cdof = matrix(job.cdof, job.nv, 6)
+    cinert = matrix(job.cinert, job.nbody, 10)
+    body_acc = matrix(job.body_acc, job.nbody, 6)
+    body_force = matrix(job.body_force, job.nbody, 6)
+    dof_R = matrix(job.dof_R, job.nv, 6)
+    put6(body_acc, 0, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    for b in range(1, job.nbody):
+        a = row6(body_acc, body_parentid[b])
+        first, end = body_dofadr[b], body_dofadr[b] + body_dofnum[b]
         while first < end:
-            last = m.dof_groupend[first]
+            last = dof_groupend[first]
             after = a
             for i in range(first, last):
-                put6(w.R, i, cross_motion(a, row6(cdof, i)))
+                put6(dof_R, i, cross_motion(a, row6(cdof, i)))
                 after = add6(after, scale6(x[i], row6(cdof, i)))
             a, first = after, last
-        put6(w.acc, b, a)
-        put6(w.force, b, inertia_times(cinert, b, a))
-    _sum_forces(m, w)
-    add_field_derivative(m, cdof, sign, w, Rq)
+        put6(body_acc, b, a)
+        put6(body_force, b, inertia_times(cinert, b, a))
+    _sum_forces(job)
+    add_field_derivative(job, sign, F)
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
-def add_compensation_derivative(m, cdof, cinert, gravity, w, Rq):
-    """Rq += d(gravity compensation)/dq: each body's weight, times its gravcomp, carried where its mass is.
+@compiled
+def add_compensation_derivative(job, F):
+    """F += d(gravity compensation)/dq: each body's weight, times its gravcomp, carried where its mass is.
 
     Uses up the subtrees' inertias and forces, and R of the dofs.
     """
+    body_parentid = integers(job.body_parentid, job.nbody)
+    gravity = vector(job.gravity, 3)
+    body_gravcomp = vector(job.body_gravcomp, job.nbody)
+    cdof = matrix(job.cdof, job.nv, 6)
+    cinert = matrix(job.cinert, job.nbody, 10)
+    body_force = matrix(job.body_force, job.nbody, 6)
+    body_inertia = matrix(job.body_inertia, job.nbody, 10)
+    dof_R = matrix(job.dof_R, job.nv, 6)
     lift = (0.0, 0.0, 0.0, -gravity[0], -gravity[1], -gravity[2])
-    for b in range(m.nbody):
+    for b in range(job.nbody):
         for k in range(10):
-            w.inertia[b, k] = m.body_gravcomp[b] * cinert[b, k]
-        put6(w.force, b, inertia_times(w.inertia, b, lift))
-    for b in range(m.nbody - 1, 0, -1):
-        parent = m.body_parentid[b]
+            body_inertia[b, k] = body_gravcomp[b] * cinert[b, k]
+        put6(body_force, b, inertia_times(body_inertia, b, lift))
+    for b in range(job.nbody - 1, 0, -1):
+        parent = body_parentid[b]
         if parent > 0:
             for k in range(10):
-                w.inertia[parent, k] += w.inertia[b, k]
-    _sum_forces(m, w)
-    for i in range(m.nv):
-        put6(w.R, i, cross_motion(lift, row6(cdof, i)))
-    add_field_derivative(m, cdof, 1.0, w, Rq)
+                body_inertia[parent, k] += body_inertia[b, k]
+    _sum_forces(job)
+    for i in range(job.nv):
+        put6(dof_R, i, cross_motion(lift, row6(cdof, i)))
+    add_field_derivative(job, 1.0, F)
 
 
-@inlined
-def _sum_forces(m, w):
-    for b in range(m.nbody - 1, 0, -1):
-        parent = m.body_parentid[b]
+@compiled
+def _sum_forces(job):
+    body_parentid = integers(job.body_parentid, job.nbody)
+    body_force = matrix(job.body_force, job.nbody, 6)
+    for b in range(job.nbody - 1, 0, -1):
+        parent = body_parentid[b]
         if parent > 0:
             for k in range(6):
-                w.force[parent, k] += w.force[b, k]
-
+                body_force[parent, k] += body_force[b, k]

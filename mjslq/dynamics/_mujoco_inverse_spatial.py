@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import numba
 
-inlined = numba.njit(inline="always", error_model="numpy")
+compiled = numba.njit(error_model="numpy", nogil=True)
+inlined = numba.njit(forceinline=True, error_model="numpy", nogil=True)
 
 
 @inlined
@@ -110,27 +111,27 @@ def dot6(s, t):
 
 @inlined
 def cross_motion(v, s):
-    """v x s."""
+    """V x s."""
     w = head(v)
     return join(cross3(w, head(s)), add3(cross3(w, tail(s)), cross3(tail(v), head(s))))
 
 
 @inlined
 def cross_force(v, f):
-    """v x* f."""
+    """V x* f."""
     w = head(v)
     return join(add3(cross3(w, head(f)), cross3(tail(v), tail(f))), cross3(w, tail(f)))
 
 
 @inlined
-def inertia_times(I, k, s):
+def inertia_times(inertia, k, s):
     """Row k of the inertias times a motion: a momentum, or a force."""
-    h = (I[k, 6], I[k, 7], I[k, 8])
-    a, b, mass = head(s), tail(s), I[k, 9]
+    h = (inertia[k, 6], inertia[k, 7], inertia[k, 8])
+    a, b, mass = head(s), tail(s), inertia[k, 9]
     turn = (
-        I[k, 0] * a[0] + I[k, 3] * a[1] + I[k, 4] * a[2],
-        I[k, 3] * a[0] + I[k, 1] * a[1] + I[k, 5] * a[2],
-        I[k, 4] * a[0] + I[k, 5] * a[1] + I[k, 2] * a[2],
+        inertia[k, 0] * a[0] + inertia[k, 3] * a[1] + inertia[k, 4] * a[2],
+        inertia[k, 3] * a[0] + inertia[k, 1] * a[1] + inertia[k, 5] * a[2],
+        inertia[k, 4] * a[0] + inertia[k, 5] * a[1] + inertia[k, 2] * a[2],
     )
     return join(add3(turn, cross3(h, b)), sub3(scale3(mass, b), cross3(h, a)))
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import mujoco
 
+from mjslq.dynamics._mujoco_inverse_cover import describe, refusals
+from mjslq.dynamics._mujoco_inverse_plan import has_contacts
+
 _JOINT_NAMES = {
     mujoco.mjtJoint.mjJNT_FREE: "free joints",
     mujoco.mjtJoint.mjJNT_BALL: "ball joints",
@@ -18,8 +21,15 @@ _INTEGRATORS = {
 }
 
 
-def report(model: mujoco.MjModel, differences: str) -> list[tuple[str, str]]:
-    """List the parts `model` has as (part, what serves it); `differences` says how the step is linearized."""
+def report(model: mujoco.MjModel, differences: str, jacobian: str) -> list[tuple[str, str]]:
+    """List the parts `model` has as (part, what serves it); `differences` says how "transition" linearizes the step."""
+    if jacobian == "inverse":
+        return _parts(model, "analytic, through the inverse dynamics") + describe(model)
+    reasons = "; ".join(refusals(model)) or "not asked for"
+    return [*_parts(model, differences), *_rest(model, differences), ('no jacobian="inverse"', reasons)]
+
+
+def _parts(model: mujoco.MjModel, differences: str) -> list[tuple[str, str]]:
     rows = [(f"integrator {_INTEGRATORS[mujoco.mjtIntegrator(model.opt.integrator)]}", differences)]
     for kind, name in _JOINT_NAMES.items():
         number = int((model.jnt_type == kind).sum())
@@ -28,20 +38,23 @@ def report(model: mujoco.MjModel, differences: str) -> list[tuple[str, str]]:
     limited = int(model.actuator_ctrllimited.sum())
     rows.append((f"{model.nu} actuators", f"{limited} with control limits, clamped by MuJoCo"))
     rows.append((f"{model.na} activations", "part of the state") if model.na else ("", ""))
-    sensors = f"outputs y, {model.nsensordata} readings; their Jacobians by {differences}"
-    rows.append((f"{model.nsensor} sensors", sensors if model.nsensor else "none: costs on states and controls only"))
-    for number, name in ((model.neq, "equality constraints"), (model.ntendon, "tendons"), (model.nflex, "flexes")):
-        rows.append((f"{number} {name}", differences) if number else ("", ""))
-    rows.append(("contacts", differences) if _has_contacts(model) else ("contacts", "none possible"))
+    rows.append((f"{model.ntendon} tendons", differences) if model.ntendon else ("", ""))
+    if not has_contacts(model):
+        rows.append(("contacts", "none possible"))
+    if not model.nsensor:
+        rows.append(("0 sensors", "none: costs on states and controls only"))
     if model.nmocap:
         rows.append((f"{model.nmocap} mocap bodies", "stay where the model has them"))
     return [row for row in rows if row[0]]
 
 
-def _has_contacts(model: mujoco.MjModel) -> bool:
-    """Whether any pair of geoms could touch, as far as bit masks tell."""
-    off = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    if model.opt.disableflags & off:
-        return False
-    types, affinities = set(model.geom_contype.tolist()), set(model.geom_conaffinity.tolist())
-    return model.npair > 0 or model.nflex > 0 or any(t & a for t in types for a in affinities)
+def _rest(model: mujoco.MjModel, differences: str) -> list[tuple[str, str]]:
+    """Rows of those parts which "inverse" does not serve all in the same way."""
+    rows = []
+    if model.nsensor:
+        readings = f"outputs y, {model.nsensordata} readings; their Jacobians by {differences}"
+        rows.append((f"{model.nsensor} sensors", readings))
+    for number, name in ((model.neq, "equality constraints"), (model.nflex, "flexes")):
+        rows.append((f"{number} {name}", differences) if number else ("", ""))
+    rows.append(("contacts", differences) if has_contacts(model) else ("", ""))
+    return [row for row in rows if row[0]]

@@ -291,7 +291,7 @@ class MujocoDynamics(Dynamics):
     def _inverse(self) -> InverseJacobians:
         from mjslq.dynamics._mujoco_inverse import InverseJacobians
 
-        return InverseJacobians(self._horizon, self._eps)
+        return InverseJacobians(self._horizon, self._eps, self._centered)
 
     def _linearize_inverse(self, trajectory: Trajectory) -> Linearization:
         return self._inverse.linearize(trajectory)

@@ -1,0 +1,207 @@
+"""Derivatives of the constraint forces J' s, with the acceleration that the rows see held fixed.
+
+Notation
+--------
+    jar = J a - aref                     the rows' argument; aref = -b J v - k imp (pos - margin), and of the equality
+                                         constraints connect and weld - dJ/dt v besides
+    s(jar), H = -ds/djar                 forces and their slope, from MuJoCo: D on rows in the quadratic state, the
+                                         cone's own block on sliding elliptic contacts, 0 on the others
+    k, b, imp, imp'                      efc_KBIP;  R = 1/D is proportional to (1 - imp) / imp
+
+By velocity and acceleration everything is explicit: d(J' s)/da = -J' H J, d(J' s)/dv = -J' H b J.
+By position, for rows whose J is constant (limits of scalar joints and fixed tendons, where dpos/dq = J):
+
+    ds = -D (k (imp' (pos - margin) + imp) + dlnD/dpos jar) J dq,     dlnD/dpos = imp' / (imp (1 - imp));
+
+friction of joints and tendons has none. Equality constraints of two joints, q_1 = P(q_2), have J = (1, -P') besides
+the same terms. Contacts with a static plane, among spheres and capsules, and of spheres with
+boxes are in `_mujoco_inverse_contacts`. What remains (other pairs of geoms, equality constraints, limits of ball
+joints) is differenced, in positions alone, and only at knots where such rows push: `_mujoco_inverse_differences`.
+"""
+
+from __future__ import annotations
+
+from numba import types
+
+from mjslq.dynamics._mujoco_inverse_columns import BOX, CAPSULE, MESH, PLANE, SPHERE
+from mjslq.dynamics._mujoco_inverse_contacts import add_contact
+from mjslq.dynamics._mujoco_inverse_job import entry_address, entry_count, flags, integers, matrix, vector
+from mjslq.dynamics._mujoco_inverse_spatial import compiled
+from mjslq.dynamics._mujoco_kernels import _address, _void
+
+_step = _void(_address, _address)
+mj_tendon = types.ExternalFunction("mj_tendon", _step)
+mj_collision = types.ExternalFunction("mj_collision", _step)
+mj_makeConstraint = types.ExternalFunction("mj_makeConstraint", _step)  # noqa: N816
+mj_comVel = types.ExternalFunction("mj_comVel", _step)  # noqa: N816
+mj_referenceConstraint = types.ExternalFunction("mj_referenceConstraint", _step)  # noqa: N816
+mj_mulJacVec = types.ExternalFunction("mj_mulJacVec", _void(_address, _address, _address, _address))  # noqa: N816
+mj_constraintUpdate = types.ExternalFunction(  # noqa: N816
+    "mj_constraintUpdate", _void(_address, _address, _address, _address, types.int32)
+)
+
+# mjtConstraint and mjtConstraintState
+EQUALITY, FRICTION_DOF, FRICTION_TENDON, LIMIT_JOINT, LIMIT_TENDON, FRICTIONLESS, PYRAMIDAL, ELLIPTIC = range(8)
+SATISFIED, QUADRATIC, LINEAR_LOW, LINEAR_HIGH, CONE = range(5)
+
+
+@compiled
+def find_rows(job):
+    """Make the constraint rows at the pose in mjData; return how many there are."""
+    if job.ntendon > 0:
+        mj_tendon(job.model, job.data)
+    mj_collision(job.model, job.data)
+    mj_makeConstraint(job.model, job.data)
+    return entry_count(job.data + job.at_nefc)
+
+
+@compiled
+def evaluate_rows(job, acc, with_cones):
+    """Forces and states of the rows at the acceleration `acc`, and contact.H if wanted.
+
+    Afterwards efc_vel, of no more use, holds jar.
+    """
+    if job.bodies_tied:
+        mj_comVel(job.model, job.data)
+    mj_referenceConstraint(job.model, job.data)
+    rows = entry_count(job.data + job.at_nefc)
+    jar_address = entry_address(job.data + job.at_efc_vel)
+    mj_mulJacVec(job.model, job.data, jar_address, acc.ctypes.data)
+    jar, aref = vector(jar_address, rows), vector(entry_address(job.data + job.at_efc_aref), rows)
+    for r in range(rows):
+        jar[r] -= aref[r]
+    mj_constraintUpdate(job.model, job.data, jar_address, 0, with_cones)
+
+
+@compiled
+def read_row(job, r, dofs, values):
+    """Collect the entries of row r of J; return how many there are."""
+    J = entry_address(job.data + job.at_efc_J)
+    count = 0
+    if job.sparse == 0:
+        row = vector(J + 8 * r * job.nv, job.nv)
+        for i in range(job.nv):
+            if row[i] != 0.0:
+                dofs[count], values[count] = i, row[i]
+                count += 1
+        return count
+    size = flags(entry_address(job.data + job.at_efc_J_rownnz), r + 1)[r]
+    first = flags(entry_address(job.data + job.at_efc_J_rowadr), r + 1)[r]
+    columns = flags(entry_address(job.data + job.at_efc_J_colind), first + size)
+    row = vector(J + 8 * first, size)
+    for k in range(size):
+        dofs[k], values[k] = columns[first + k], row[k]
+    return size
+
+
+@compiled
+def is_differenced(job, kind, index):
+    """Whether the position derivative of a row is taken by differences; `index` is its efc_id."""
+    if kind in (FRICTION_DOF, FRICTION_TENDON, LIMIT_TENDON):
+        return False
+    if kind == LIMIT_JOINT:
+        return integers(job.jnt_scalar, index + 1)[index] == 0
+    if kind == EQUALITY:
+        return integers(job.eq_joint, index + 1)[index] == 0
+    geom_kind = integers(job.geom_kind, job.ngeom)
+    contact = entry_address(job.data + job.at_contact) + index * job.at_contact_size
+    geoms = flags(contact + job.at_contact_geom, 2)
+    first, second = geom_kind[geoms[0]], geom_kind[geoms[1]]
+    if first == PLANE:
+        return second not in (SPHERE, CAPSULE, BOX, MESH)
+    if first == SPHERE and second == BOX:
+        # a centre that lies on the box's surface has no normal
+        outside = vector(contact + job.at_contact_dist, 1)[0] + vector(job.geom_radius, job.ngeom)[geoms[0]]
+        return abs(outside) < 1e-6
+    return not (first in (SPHERE, CAPSULE) and second in (SPHERE, CAPSULE))
+
+
+@compiled
+def add_rows(job, acc, F, G):
+    """F += d(J' s)/dz by velocity and (of covered rows) by position, G += J' H J; the rows have been evaluated.
+
+    Returns whether rows that push are left to differences.
+    """
+    rows = entry_count(job.data + job.at_nefc)
+    kinds = flags(entry_address(job.data + job.at_efc_type), rows)
+    ids = flags(entry_address(job.data + job.at_efc_id), rows)
+    states = flags(entry_address(job.data + job.at_efc_state), rows)
+    D = vector(entry_address(job.data + job.at_efc_D), rows)
+    KBIP = matrix(entry_address(job.data + job.at_efc_KBIP), rows, 4)
+    pos = vector(entry_address(job.data + job.at_efc_pos), rows)
+    margin = vector(entry_address(job.data + job.at_efc_margin), rows)
+    jar = vector(entry_address(job.data + job.at_efc_vel), rows)
+    dofs, values = integers(job.dofs, job.nv), vector(job.values, job.nv)
+    nv, rest, r = job.nv, False, 0
+    while r < rows:
+        kind = kinds[r]
+        if kind == ELLIPTIC and states[r] == CONE:
+            contact = entry_address(job.data + job.at_contact) + ids[r] * job.at_contact_size
+            _add_cone(job, r, contact, KBIP, F, G)
+        elif states[r] == QUADRATIC:
+            k, b, imp, slope = KBIP[r, 0], KBIP[r, 1], KBIP[r, 2], KBIP[r, 3]
+            stiffness = 0.0
+            differenced = is_differenced(job, kind, ids[r])
+            if kind in (LIMIT_JOINT, LIMIT_TENDON, EQUALITY) and not differenced:
+                stiffness = k * (slope * (pos[r] - margin[r]) + imp) + slope / (imp * (1.0 - imp)) * jar[r]
+            size = read_row(job, r, dofs, values)
+            b = 0.0 if kind == EQUALITY and differenced else b  # by differences, together with that of dJ/dt v
+            by_pos = D[r] * stiffness
+            for x in range(size):
+                i, c = dofs[x], D[r] * values[x]
+                for y in range(size):
+                    j = dofs[y]
+                    G[i, j] += c * values[y]
+                    F[i, nv + j] -= b * c * values[y]
+                    F[i, j] -= by_pos * values[x] * values[y]
+            if kind == EQUALITY and not differenced:
+                _add_curvature(job, ids[r], D[r], b, jar[r], acc, dofs[:size], values, F)
+        pushes = states[r] != SATISFIED
+        rest = rest or (pushes and is_differenced(job, kind, ids[r]))
+        if kind >= FRICTIONLESS:
+            contact = entry_address(job.data + job.at_contact) + ids[r] * job.at_contact_size
+            dim = flags(contact + job.at_contact_dim, 1)[0]
+            count = 2 * (dim - 1) if kind == PYRAMIDAL else dim
+            if not is_differenced(job, kind, ids[r]):
+                add_contact(job, r, count, kind, contact, acc, F)
+            if kind == ELLIPTIC and states[r] == CONE:
+                r += count - 1
+        r += 1
+    return rest
+
+
+@compiled
+def _add_curvature(job, index, D, b, jar, acc, dofs, values, F):
+    """F += the part that the change of J = (1, -P'(x)) has, of a joint equality constraint with a polynomial P of x."""
+    dof = integers(job.eq_dof, job.neq)[index]
+    if dof < 0:
+        return
+    prm = matrix(job.eq_prm, job.neq, 6)[index]
+    x = vector(job.qpos, job.nq)[integers(job.dof_qadr, job.nv)[dof]] - prm[5]
+    bend = -(2.0 * prm[2] + x * (6.0 * prm[3] + x * 12.0 * prm[4]))
+    change = bend * (acc[dof] + b * vector(job.qvel, job.nv)[dof])
+    for k in range(dofs.shape[0]):
+        F[dofs[k], dof] -= D * values[k] * change
+    F[dof, dof] -= bend * D * jar
+
+
+@compiled
+def _add_cone(job, first, contact, KBIP, F, G):
+    """G += J' H J and F -= J' H b J of one sliding elliptic contact."""
+    dim = flags(contact + job.at_contact_dim, 1)[0]
+    H = matrix(contact + job.at_contact_H, dim, dim)
+    jacobian = matrix(job.jacobian, 10, job.nv)
+    dofs, values = integers(job.dofs, job.nv), vector(job.values, job.nv)
+    for r in range(dim):
+        for i in range(job.nv):
+            jacobian[r, i] = 0.0
+        for x in range(read_row(job, first + r, dofs, values)):
+            jacobian[r, dofs[x]] = values[x]
+    for r in range(dim):
+        for c in range(dim):
+            for i in range(job.nv):
+                factor = H[r, c] * jacobian[r, i]
+                if factor != 0.0:
+                    for j in range(job.nv):
+                        G[i, j] += factor * jacobian[c, j]
+                        F[i, job.nv + j] -= factor * KBIP[first + c, 1] * jacobian[c, j]

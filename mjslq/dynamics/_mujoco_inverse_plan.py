@@ -1,0 +1,315 @@
+"""What the kernel of the inverse Jacobians has to know about a model.
+
+`plan` turns a model that they cover (`_mujoco_inverse_cover`) into the arrays that `_mujoco_inverse_job` names, in
+the kernel's terms: scalar springs, dof dampers with what actuators add to them, tendons and actuators with constant
+moment arms, limits that are infinite where there are none.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjslq.dynamics import _mujoco_inverse_columns as columns
+
+
+def whole(kind: Any) -> SimpleNamespace:
+    """Plain integers in place of an enumeration's members, which numpy does not compare with."""
+    return SimpleNamespace(**{name: int(value) for name, value in kind.__members__.items()})
+
+
+JOINT, TRN, DYN = whole(mujoco.mjtJoint), whole(mujoco.mjtTrn), whole(mujoco.mjtDyn)
+GAIN, BIAS, INT = whole(mujoco.mjtGain), whole(mujoco.mjtBias), whole(mujoco.mjtIntegrator)
+GEOM = whole(mujoco.mjtGeom)
+OFF, ON, WRAP, EQ = (
+    whole(mujoco.mjtDisableBit), whole(mujoco.mjtEnableBit), whole(mujoco.mjtWrap), whole(mujoco.mjtEq)
+)  # fmt: skip
+SCALAR = (int(JOINT.mjJNT_SLIDE), int(JOINT.mjJNT_HINGE))
+ON_JOINTS = (int(TRN.mjTRN_JOINT), int(TRN.mjTRN_JOINTINPARENT))
+_LARGE = 1e300
+Table = dict[str, np.ndarray[Any, Any]]
+
+
+def implicit_level(model: mujoco.MjModel) -> int:
+    """What the integrator takes implicitly: 0 nothing, 1 the joints' damping, 2 all smooth columns."""
+    if model.opt.integrator != INT.mjINT_EULER:
+        return 2
+    damped = not disabled(model, OFF.mjDSBL_EULERDAMP) and bool(dampers(model).any())
+    return 1 if damped else 0
+
+
+def plan(model: mujoco.MjModel) -> Table:
+    """Arrays and sizes for the kernel: integers as int64, numbers as float64."""
+    table: dict[str, Any] = {
+        "nq": model.nq, "nv": model.nv, "na": model.na, "nu": model.nu, "ny": model.nsensordata,
+        "columns": 2 * model.nv + model.na + model.nu,
+        "nbody": model.nbody, "ngeom": model.ngeom, "nsite": model.nsite, "ntendon": model.ntendon,
+        "implicit": implicit_level(model), "h": model.opt.timestep,
+        "body_parentid": model.body_parentid, "body_rootid": model.body_rootid, "body_dofadr": model.body_dofadr,
+        "body_dofnum": model.body_dofnum, "body_lastdof": _last_dofs(model), "dof_bodyid": model.dof_bodyid,
+        "dof_parentid": model.dof_parentid, "dof_qadr": _position_addresses(model),
+        "dof_force_range": _force_ranges(model), "dof_damping": dampers(model), "dof_armature": _armature(model),
+        "body_gravcomp": model.body_gravcomp, "dof_treeid": model.dof_treeid,
+        "gravity": np.zeros(3) if disabled(model, OFF.mjDSBL_GRAVITY) else model.opt.gravity,
+    }  # fmt: skip
+    compensates = bool(model.body_gravcomp.any()) and bool(np.any(table["gravity"]))
+    table["compensated"] = int(compensates)
+    table |= _equalities(model)
+    table["constrained"], table["sparse"] = int(can_be_constrained(model)), int(mujoco.mj_isSparse(model))
+    table |= _geoms(model)
+    table |= _groups(model) | _springs(model) | tendons(model) | _actuators(model) | _gyroscopic(model)
+    return arrays(table)
+
+
+def arrays(table: dict[str, Any]) -> Table:
+    """Numbers and arrays as the kernel wants them."""
+    return {name: _array(value) for name, value in table.items()}
+
+
+def _array(value: Any) -> np.ndarray[Any, Any]:
+    value = np.asarray(value)
+    return np.array(value, np.float64 if value.dtype.kind == "f" else np.int64, order="C")
+
+
+def disabled(model: mujoco.MjModel, flag: Any) -> bool:
+    return bool(model.opt.disableflags & flag)
+
+
+def _last_dofs(model: mujoco.MjModel) -> Any:
+    """Last dof on the way from the world to each body; -1 for bodies that cannot move."""
+    last = np.full(model.nbody, -1)
+    for b in range(1, model.nbody):
+        last[b] = last[model.body_parentid[b]]
+        if model.body_dofnum[b]:
+            last[b] = model.body_dofadr[b] + model.body_dofnum[b] - 1
+    return last
+
+
+def _position_addresses(model: mujoco.MjModel) -> Any:
+    """Where in qpos the position of a hinge's or slide's dof is; of other dofs -2 minus where their quaternion is."""
+    joints = model.dof_jntid
+    rotation = model.jnt_qposadr + 3 * (model.jnt_type == JOINT.mjJNT_FREE)
+    return np.where(np.isin(model.jnt_type[joints], SCALAR), model.jnt_qposadr[joints], -2 - rotation[joints])
+
+
+def _groups(model: mujoco.MjModel) -> dict[str, Any]:
+    """First dof of each dof's group and the one behind its last; first rotational dofs of quaternions."""
+    first, end, quaternions = np.arange(model.nv), np.arange(model.nv) + 1, []
+    for kind, adr in zip(model.jnt_type, model.jnt_dofadr, strict=True):
+        if kind in (JOINT.mjJNT_FREE, JOINT.mjJNT_BALL):
+            start = adr + (3 if kind == JOINT.mjJNT_FREE else 0)
+            first[start : start + 3], end[start : start + 3] = start, start + 3
+            quaternions.append(start)
+    return {
+        "dof_group": first, "dof_groupend": end,
+        "quat_dof": np.array(quaternions, dtype=np.int64), "nquat": len(quaternions),
+    }  # fmt: skip
+
+
+def joint_of(model: mujoco.MjModel, i: int) -> int:
+    """Scalar joint that actuator i drives directly, or -1."""
+    joint = int(model.actuator_trnid[i, 0])
+    return joint if model.actuator_trntype[i] in ON_JOINTS and model.jnt_type[joint] in SCALAR else -1
+
+
+def dampers(model: mujoco.MjModel) -> Any:
+    """Coefficients of the dofs' damping, with what actuators add to their joints. Shape (nv, 3)."""
+    if disabled(model, OFF.mjDSBL_DAMPER):
+        return np.zeros((model.nv, 3))
+    dampers = np.column_stack([model.dof_damping, model.dof_dampingpoly])
+    for i in range(model.nu):
+        if (joint := joint_of(model, i)) >= 0:
+            own = np.append(model.actuator_damping[i], model.actuator_dampingpoly[i])
+            dampers[model.jnt_dofadr[joint]] += model.actuator_gear[i, 0] ** 2 * own
+    return dampers
+
+
+def _armature(model: mujoco.MjModel) -> Any:
+    armature = np.array(model.dof_armature)
+    for i in range(model.nu):
+        if (joint := joint_of(model, i)) >= 0:
+            armature[model.jnt_dofadr[joint]] += model.actuator_gear[i, 0] ** 2 * model.actuator_armature[i]
+    return armature
+
+
+def _force_ranges(model: mujoco.MjModel) -> Any:
+    """Limits of the actuators' total force on each dof. Shape (nv, 2)."""
+    limited = np.asarray(model.jnt_actfrclimited, bool) & np.isin(model.jnt_type, SCALAR)
+    return _ranges(limited, model.jnt_actfrcrange)[model.dof_jntid]
+
+
+def _ranges(limited: Any, given: Any) -> Any:
+    return np.where(np.asarray(limited, bool)[:, None], given, [-_LARGE, _LARGE])
+
+
+def _geoms(model: mujoco.MjModel) -> dict[str, Any]:
+    """Kinds of geoms as `_mujoco_inverse_contacts` tells them apart, and radii and sizes."""
+    types, static = model.geom_type, model.body_weldid[model.geom_bodyid] == 0
+    kind = np.zeros(model.ngeom, np.int64)
+    kind[types == GEOM.mjGEOM_MESH] = columns.MESH
+    kind[types == GEOM.mjGEOM_BOX] = columns.BOX
+    kind[types == GEOM.mjGEOM_SPHERE] = columns.SPHERE
+    kind[types == GEOM.mjGEOM_CAPSULE] = columns.CAPSULE
+    kind[(types == GEOM.mjGEOM_PLANE) & static] = columns.PLANE
+    round_ = np.isin(types, [GEOM.mjGEOM_SPHERE, GEOM.mjGEOM_CAPSULE])
+    return {
+        "geom_kind": kind, "geom_radius": np.where(round_, model.geom_size[:, 0], 0.0),
+        "geom_size": model.geom_size,
+        "geom_bodyid": model.geom_bodyid, "jnt_scalar": np.isin(model.jnt_type, SCALAR),
+    }  # fmt: skip
+
+
+def _equalities(model: mujoco.MjModel) -> dict[str, Any]:
+    """Equality constraints of joints: second dof (-1: none), polynomial and rest position of its joint."""
+    on_joints = model.eq_type == EQ.mjEQ_JOINT
+    second = np.where(on_joints, model.eq_obj2id, -1)
+    joints = np.maximum(second, 0)
+    rest = model.qpos0[model.jnt_qposadr[joints]] if model.neq else np.zeros(0)
+    return {
+        "neq": model.neq, "bodies_tied": int((~on_joints).any()), "eq_joint": on_joints,
+        "eq_dof": np.where(second >= 0, model.jnt_dofadr[joints], -1),
+        "eq_prm": np.column_stack([model.eq_data[:, :5], rest]),
+    }  # fmt: skip
+
+
+def can_be_constrained(model: mujoco.MjModel) -> bool:
+    """Whether the model can have any constraint row."""
+    if disabled(model, OFF.mjDSBL_CONSTRAINT):
+        return False
+    limits = (model.jnt_limited.any() or model.tendon_limited.any()) and not disabled(model, OFF.mjDSBL_LIMIT)
+    friction = model.dof_frictionloss.any() or model.tendon_frictionloss.any()
+    friction = friction and not disabled(model, OFF.mjDSBL_FRICTIONLOSS)
+    equality = model.neq > 0 and not disabled(model, OFF.mjDSBL_EQUALITY)
+    return bool(limits or friction or equality or has_contacts(model))
+
+
+def has_contacts(model: mujoco.MjModel) -> bool:
+    """Whether any pair of geoms could touch, as far as bit masks tell."""
+    if disabled(model, OFF.mjDSBL_CONTACT) or disabled(model, OFF.mjDSBL_CONSTRAINT):
+        return False
+    kinds, affinities = set(model.geom_contype.tolist()), set(model.geom_conaffinity.tolist())
+    return model.npair > 0 or model.nflex > 0 or any(t & a for t in kinds for a in affinities)
+
+
+def _springs(model: mujoco.MjModel) -> dict[str, Any]:
+    """Springs of scalar dofs (rest, three coefficients) and of quaternions (rest, three coefficients)."""
+    dofs, positions, parameters = [], [], []
+    ball_dofs, ball_positions, ball_parameters = [], [], []
+    stiffness = np.column_stack([model.jnt_stiffness, model.jnt_stiffnesspoly])
+    if disabled(model, OFF.mjDSBL_SPRING):
+        stiffness[:] = 0.0
+    for j in np.flatnonzero(stiffness.any(axis=1)):
+        dof, adr, kind = model.jnt_dofadr[j], model.jnt_qposadr[j], model.jnt_type[j]
+        for k in range({JOINT.mjJNT_FREE: 3, JOINT.mjJNT_BALL: 0}.get(kind, 1)):
+            dofs.append(dof + k)
+            positions.append(adr + k)
+            parameters.append([model.qpos_spring[adr + k], *stiffness[j]])
+        if kind not in SCALAR:
+            skip = 3 if kind == JOINT.mjJNT_FREE else 0
+            ball_dofs.append(dof + skip)
+            ball_positions.append(adr + skip)
+            ball_parameters.append([*model.qpos_spring[adr + skip : adr + skip + 4], *stiffness[j]])
+    return {
+        "nspring": len(dofs), "spring_dof": np.array(dofs, np.int64), "spring_qadr": np.array(positions, np.int64),
+        "spring_prm": np.array(parameters).reshape(-1, 4),
+        "nball": len(ball_dofs), "ball_dof": np.array(ball_dofs, np.int64),
+        "ball_qadr": np.array(ball_positions, np.int64), "ball_prm": np.array(ball_parameters).reshape(-1, 7),
+    }  # fmt: skip
+
+
+def tendon_dofs(model: mujoco.MjModel, t: int) -> tuple[Any, Any]:
+    """Dofs and coefficients of a fixed tendon; empty for a spatial one."""
+    path = slice(model.tendon_adr[t], model.tendon_adr[t] + model.tendon_num[t])
+    if model.wrap_type[path][0] != WRAP.mjWRAP_JOINT:
+        return np.zeros(0, np.int64), np.zeros(0)
+    return model.jnt_dofadr[model.wrap_objid[path]], model.wrap_prm[path]
+
+
+def tendons(model: mujoco.MjModel) -> dict[str, Any]:
+    """Dofs and coefficients of the fixed tendons, their springs' dead band and coefficients, dampers, armature."""
+    paths = [tendon_dofs(model, t) for t in range(model.ntendon)]
+    prm = np.zeros((model.ntendon, columns.TENDON_NUMBERS))
+    if model.ntendon:
+        prm[:, columns.BAND : columns.BAND + 2] = model.tendon_lengthspring
+        prm[:, columns.ARMATURE] = model.tendon_armature
+        if not disabled(model, OFF.mjDSBL_SPRING):
+            prm[:, columns.STIFFNESS] = model.tendon_stiffness
+            prm[:, columns.STIFFNESS + 1 : columns.STIFFNESS + 3] = model.tendon_stiffnesspoly
+        if not disabled(model, OFF.mjDSBL_DAMPER):
+            prm[:, columns.DAMPING] = model.tendon_damping
+            prm[:, columns.DAMPING + 1 : columns.DAMPING + 3] = model.tendon_dampingpoly
+    for i in range(model.nu):
+        if model.actuator_trntype[i] == TRN.mjTRN_TENDON:
+            tendon, square = model.actuator_trnid[i, 0], model.actuator_gear[i, 0] ** 2
+            prm[tendon, columns.ARMATURE] += square * model.actuator_armature[i]
+            own = np.append(model.actuator_damping[i], model.actuator_dampingpoly[i])
+            if disabled(model, OFF.mjDSBL_DAMPER):
+                own = np.zeros(3)
+            prm[tendon, columns.DAMPING : columns.DAMPING + 3] += square * own
+    return {"ten_prm": prm} | _lists("ten", paths)
+
+
+def _lists(name: str, paths: list[tuple[Any, Any]]) -> dict[str, Any]:
+    """Lists of dofs and coefficients, one after the other."""
+    lengths = [len(dofs) for dofs, _ in paths]
+    return {
+        f"{name}_first": np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64), f"n{name}_coef": sum(lengths),
+        f"{name}_dof": np.concatenate([np.zeros(0, np.int64), *[dofs for dofs, _ in paths]]).astype(np.int64),
+        f"{name}_coef": np.concatenate([np.zeros(0), *[coefficients for _, coefficients in paths]]),
+    }  # fmt: skip
+
+
+def _actuators(model: mujoco.MjModel) -> dict[str, Any]:
+    """Moment arms, gains, biases, limits, and the dynamics of activations."""
+    prm = np.zeros((model.nu, columns.ACTUATOR_NUMBERS))
+    affine_gain = (model.actuator_gaintype == GAIN.mjGAIN_AFFINE)[:, None]
+    affine_bias = (model.actuator_biastype == BIAS.mjBIAS_AFFINE)[:, None]
+    prm[:, columns.GAIN : columns.GAIN + 3] = model.actuator_gainprm[:, :3] * np.hstack(
+        [affine_gain | True, affine_gain, affine_gain]
+    )
+    prm[:, columns.BIAS : columns.BIAS + 3] = model.actuator_biasprm[:, :3] * affine_bias
+    prm[:, columns.TIME_CONSTANT] = np.maximum(model.actuator_dynprm[:, 0], mujoco.mjMINVAL)
+    clamped = np.asarray(model.actuator_ctrllimited, bool) & (not disabled(model, OFF.mjDSBL_CLAMPCTRL))
+    prm[:, columns.CTRL_RANGE : columns.CTRL_RANGE + 2] = _ranges(clamped, model.actuator_ctrlrange)
+    prm[:, columns.FORCE_RANGE : columns.FORCE_RANGE + 2] = _ranges(
+        model.actuator_forcelimited, model.actuator_forcerange
+    )
+    prm[:, columns.ACT_RANGE : columns.ACT_RANGE + 2] = _ranges(model.actuator_actlimited, model.actuator_actrange)
+    groups = np.clip(model.actuator_group, 0, 31)
+    on_site = model.actuator_trntype == TRN.mjTRN_SITE
+    sites = np.where(on_site, model.actuator_trnid[:, 0], -1)
+    return {
+        "act_prm": prm, "act_adr": np.where(model.actuator_actnum > 0, model.actuator_actadr, -1),
+        "act_dynamics": model.actuator_dyntype, "act_early": np.asarray(model.actuator_actearly, np.int64),
+        "act_enabled": ((model.opt.disableactuator >> groups) & 1) == 0,
+        "act_site": sites, "act_body": np.where(on_site, model.site_bodyid[sites], -1) if model.nsite else sites,
+        "act_gear": model.actuator_gear,
+    } | _lists("act", [_moment(model, i) for i in range(model.nu)])  # fmt: skip
+
+
+def _moment(model: mujoco.MjModel, i: int) -> tuple[Any, Any]:
+    """Dofs and coefficients of an actuator's constant moment arm; empty for one at a site."""
+    kind, target, gear = model.actuator_trntype[i], model.actuator_trnid[i, 0], model.actuator_gear[i]
+    if kind == TRN.mjTRN_TENDON:
+        dofs, coefficients = tendon_dofs(model, target)
+        return dofs, gear[0] * coefficients
+    if kind in ON_JOINTS:
+        size = {JOINT.mjJNT_FREE: 6, JOINT.mjJNT_BALL: 3}.get(model.jnt_type[target], 1)
+        return model.jnt_dofadr[target] + np.arange(size), gear[:size]
+    return np.zeros(0, np.int64), np.zeros(0)
+
+
+def _gyroscopic(model: mujoco.MjModel) -> dict[str, Any]:
+    """Dofs whose bias forces the integrator takes implicitly."""
+    marked = np.zeros(model.nv, np.int64)
+    if model.opt.integrator == INT.mjINT_IMPLICIT:
+        marked[:] = 1
+    elif model.opt.integrator == INT.mjINT_IMPLICITFAST:
+        for j in np.flatnonzero(model.jnt_type == JOINT.mjJNT_FREE):
+            first = model.jnt_dofadr[j]
+            if not (model.dof_parentid[first + 6 :] == first + 5).any():
+                marked[first : first + 6] = 1
+    return {"dof_gyroscopic": marked, "gyroscopic": int(marked.any())}
