@@ -78,7 +78,7 @@ def robot_spec(
     armature
         Rotor inertia of every joint with one axis. [kg m^2 or kg]
     """
-    from mjslq.dynamics._mujoco_files import urdf_spec
+    from mjslq.dynamics.mujoco.files import urdf_spec
 
     return urdf_spec(robot_path(name), floating=floating, motors=motors, floor=floor, armature=armature)
 

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjslq.dynamics._mujoco_models import asset_path, drag_spec, hopper_spec
 from mjslq.dynamics.mujoco import MujocoDynamics
+from mjslq.dynamics.mujoco.models import asset_path, drag_spec, hopper_spec
 
 
 def spring(e, k, alpha):

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mjslq._validation import Array
-from mjslq.dynamics import _mujoco_inverse_columns as columns
 from mjslq.dynamics._base import compare_jacobians, fine_reference
-from mjslq.dynamics._mujoco_inverse_outputs import sensors
-from mjslq.dynamics._mujoco_models import drag_spec, hopper_spec
 from mjslq.dynamics.mujoco import MujocoDynamics
+from mjslq.dynamics.mujoco.inverse import columns as columns
+from mjslq.dynamics.mujoco.inverse.outputs import sensors
+from mjslq.dynamics.mujoco.models import drag_spec, hopper_spec
 from mjslq.trajectory import Trajectory
 
 

@@ -111,7 +111,7 @@ def test_feedback_that_blows_up_is_a_divergence():
 
 
 def test_the_users_log_settings_come_back(tmp_path, monkeypatch):
-    from mjslq.dynamics._mujoco_library import library, quiet
+    from mjslq.dynamics.mujoco.library import library, quiet
 
     before = library().mju_getLogConfig()
     with quiet(), quiet():

@@ -66,7 +66,7 @@ def test_meshes_are_found_by_package(tmp_path):
 
 
 def test_other_xml_is_no_urdf(tmp_path):
-    from mjslq.dynamics._mujoco_files import urdf_spec
+    from mjslq.dynamics.mujoco.files import urdf_spec
 
     (tmp_path / "a.urdf").write_text("<mujoco/>")
     with pytest.raises(ValueError, match="outermost element is <mujoco>, not <robot>"):

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mjslq.dynamics._mujoco_manifold import StateSpace
 from mjslq.dynamics.mujoco import MujocoDynamics
+from mjslq.dynamics.mujoco.manifold import StateSpace
 
 MODEL = mujoco.MjModel.from_xml_string("""
 <mujoco><worldbody>

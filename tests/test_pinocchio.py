@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 import mjslq
-from mjslq.dynamics._pinocchio_outputs import quaternions
+from mjslq.dynamics.pinocchio.outputs import quaternions
 from mjslq.robots import robot_path
 
 INTEGRATORS = ("semi-implicit-euler", "rk4")

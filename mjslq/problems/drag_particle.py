@@ -77,8 +77,8 @@ def _function(beta: float, mass: float, dt: float) -> FunctionDynamics:
 
 
 def _mujoco(beta: float, mass: float, dt: float) -> Dynamics:
-    from mjslq.dynamics._mujoco_models import drag_spec
     from mjslq.dynamics.mujoco import MujocoDynamics
+    from mjslq.dynamics.mujoco.models import drag_spec
 
     spec = drag_spec(beta, dt)
     spec.geom("bead").mass = mass

@@ -90,8 +90,8 @@ def function_dynamics(
 
 def mujoco_dynamics(stiffness: float, alpha: float, gravity: float, dt: float) -> Dynamics:
     """The same machine as an MJCF model, state (y, y_p, ydot, y_p')."""
-    from mjslq.dynamics._mujoco_models import hopper_spec
     from mjslq.dynamics.mujoco import MujocoDynamics
+    from mjslq.dynamics.mujoco.models import hopper_spec
 
     return MujocoDynamics.from_spec(hopper_spec(stiffness, alpha, gravity, dt))
 

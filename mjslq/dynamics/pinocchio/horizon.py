@@ -27,9 +27,9 @@ import numpy as np
 import pinocchio as pin
 
 from mjslq._validation import Array
-from mjslq.dynamics import _pinocchio_kernels as kernels
 from mjslq.dynamics._base import Linearization
-from mjslq.dynamics._pinocchio_outputs import Readings
+from mjslq.dynamics.pinocchio import kernels
+from mjslq.dynamics.pinocchio.outputs import Readings
 from mjslq.trajectory import Trajectory
 
 

@@ -28,9 +28,9 @@ from __future__ import annotations
 
 import math
 
-from mjslq.dynamics._mujoco_inverse_columns import BOX, CAPSULE, PLANE
-from mjslq.dynamics._mujoco_inverse_job import flags, integers, matrix, vector
-from mjslq.dynamics._mujoco_inverse_spatial import (
+from mjslq.dynamics.mujoco.inverse.columns import BOX, CAPSULE, PLANE
+from mjslq.dynamics.mujoco.inverse.job import flags, integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     compiled,
     cross3,

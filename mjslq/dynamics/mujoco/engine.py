@@ -8,7 +8,7 @@ Notation
     y = sensordata             ny = nsensordata            outputs: all the model's sensors, read at (x_n, u_n)
     x_{n+1} = mj_step(x_n, u_n)                            with dt = opt.timestep
 
-Whole horizons run in compiled loops that call libmujoco directly (`_mujoco_kernels`). A rollout starts from a
+Whole horizons run in compiled loops that call libmujoco directly (`kernels`). A rollout starts from a
 clean mjData at time zero with a cold constraint solver, so equal inputs give equal results, bit for bit, and the
 same ones as a plain loop over mj_step on a new mjData.
 """
@@ -28,15 +28,15 @@ from numpy.typing import ArrayLike
 
 from mjslq._validation import Array, as_array, choose, count, positive
 from mjslq.dynamics._base import Dynamics, Linearization, Output
-from mjslq.dynamics._mujoco_manifold import StateSpace
+from mjslq.dynamics.mujoco.manifold import StateSpace
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import mujoco
 
-    from mjslq.dynamics._mujoco_horizon import Horizon
-    from mjslq.dynamics._mujoco_inverse import InverseJacobians
+    from mjslq.dynamics.mujoco.horizon import Horizon
+    from mjslq.dynamics.mujoco.inverse.jacobians import InverseJacobians
 
 
 class MujocoDynamics(Dynamics):
@@ -72,9 +72,9 @@ class MujocoDynamics(Dynamics):
         centered: bool = True,
         name: str | None = None,
     ):
-        from mjslq.dynamics import _mujoco_names as names
-        from mjslq.dynamics._mujoco_checks import refuse_unsupported
-        from mjslq.dynamics._mujoco_inverse_cover import choose_jacobian
+        from mjslq.dynamics.mujoco import names
+        from mjslq.dynamics.mujoco.checks import refuse_unsupported
+        from mjslq.dynamics.mujoco.inverse.cover import choose_jacobian
 
         refuse_unsupported(model)
         self.model = copy.copy(model)
@@ -110,8 +110,8 @@ class MujocoDynamics(Dynamics):
         A URDF has no actuators: each joint gets a motor. `mjslq.robots.robot_spec` gives more say over that,
         and a floating base.
         """
-        from mjslq.dynamics._mujoco_files import load_model
-        from mjslq.dynamics._mujoco_names import model_name
+        from mjslq.dynamics.mujoco.files import load_model
+        from mjslq.dynamics.mujoco.names import model_name
 
         model = load_model(path)
         options.setdefault("name", model_name(model) or Path(path).stem)
@@ -127,7 +127,7 @@ class MujocoDynamics(Dynamics):
         **options: Any,
     ) -> MujocoDynamics:
         """Compile MJCF text; see the class for the options."""
-        from mjslq.dynamics._mujoco_files import model_of_text
+        from mjslq.dynamics.mujoco.files import model_of_text
 
         return cls(model_of_text(text), timestep=timestep, jacobian=jacobian, threads=threads, **options)
 
@@ -141,7 +141,7 @@ class MujocoDynamics(Dynamics):
         **options: Any,
     ) -> MujocoDynamics:
         """Compile a copy of an `MjSpec`; see the class for the options."""
-        from mjslq.dynamics._mujoco_files import compiled
+        from mjslq.dynamics.mujoco.files import compiled
 
         return cls(compiled(spec.copy()), timestep=timestep, jacobian=jacobian, threads=threads, **options)
 
@@ -190,7 +190,7 @@ class MujocoDynamics(Dynamics):
     @property
     def outputs(self) -> dict[str, Output]:
         """Sensors by name."""
-        from mjslq.dynamics import _mujoco_names as names
+        from mjslq.dynamics.mujoco import names
 
         return names.outputs(self.model)
 
@@ -268,7 +268,7 @@ class MujocoDynamics(Dynamics):
 
     def support_report(self) -> list[tuple[str, str]]:
         """List the model's parts and what serves each of them, as (part, what serves it)."""
-        from mjslq.dynamics._mujoco_report import report
+        from mjslq.dynamics.mujoco.report import report
 
         differences = "differences of the step" + (" to both sides" if self._centered else "")
         return report(self.model, differences, self.jacobian)
@@ -283,13 +283,13 @@ class MujocoDynamics(Dynamics):
 
     @cached_property
     def _horizon(self) -> Horizon:
-        from mjslq.dynamics._mujoco_horizon import Horizon
+        from mjslq.dynamics.mujoco.horizon import Horizon
 
         return Horizon(self.model, self._threads)
 
     @cached_property
     def _inverse(self) -> InverseJacobians:
-        from mjslq.dynamics._mujoco_inverse import InverseJacobians
+        from mjslq.dynamics.mujoco.inverse.jacobians import InverseJacobians
 
         return InverseJacobians(self._horizon, self._eps, self._centered)
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from numba import types
 
-from mjslq.dynamics._mujoco_inverse_constraints import (
+from mjslq.dynamics.mujoco.inverse.constraints import (
     EQUALITY,
     FRICTIONLESS,
     SATISFIED,
@@ -23,9 +23,9 @@ from mjslq.dynamics._mujoco_inverse_constraints import (
     mj_referenceConstraint,
     read_row,
 )
-from mjslq.dynamics._mujoco_inverse_job import entry_address, entry_count, flags, integers, vector
-from mjslq.dynamics._mujoco_inverse_spatial import compiled
-from mjslq.dynamics._mujoco_kernels import _address, _copy, _number, _void
+from mjslq.dynamics.mujoco.inverse.job import entry_address, entry_count, flags, integers, vector
+from mjslq.dynamics.mujoco.inverse.spatial import compiled
+from mjslq.dynamics.mujoco.kernels import _address, _copy, _number, _void
 
 mj_kinematics = types.ExternalFunction("mj_kinematics", _void(_address, _address))
 mj_comPos = types.ExternalFunction("mj_comPos", _void(_address, _address))  # noqa: N816

@@ -15,19 +15,19 @@ By position, for rows whose J is constant (limits of scalar joints and fixed ten
 
 friction of joints and tendons has none. Equality constraints of two joints, q_1 = P(q_2), have J = (1, -P') besides
 the same terms. Contacts with a static plane, among spheres and capsules, and of spheres with
-boxes are in `_mujoco_inverse_contacts`. What remains (other pairs of geoms, equality constraints, limits of ball
-joints) is differenced, in positions alone, and only at knots where such rows push: `_mujoco_inverse_differences`.
+boxes are in `contacts`. What remains (other pairs of geoms, equality constraints, limits of ball
+joints) is differenced, in positions alone, and only at knots where such rows push: `differences`.
 """
 
 from __future__ import annotations
 
 from numba import types
 
-from mjslq.dynamics._mujoco_inverse_columns import BOX, CAPSULE, MESH, PLANE, SPHERE
-from mjslq.dynamics._mujoco_inverse_contacts import add_contact
-from mjslq.dynamics._mujoco_inverse_job import entry_address, entry_count, flags, integers, matrix, vector
-from mjslq.dynamics._mujoco_inverse_spatial import compiled
-from mjslq.dynamics._mujoco_kernels import _address, _void
+from mjslq.dynamics.mujoco.inverse.columns import BOX, CAPSULE, MESH, PLANE, SPHERE
+from mjslq.dynamics.mujoco.inverse.contacts import add_contact
+from mjslq.dynamics.mujoco.inverse.job import entry_address, entry_count, flags, integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.spatial import compiled
+from mjslq.dynamics.mujoco.kernels import _address, _void
 
 _step = _void(_address, _address)
 mj_tendon = types.ExternalFunction("mj_tendon", _step)

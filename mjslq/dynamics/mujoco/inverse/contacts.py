@@ -1,7 +1,7 @@
 """Position derivative of the forces of one contact, in closed form: planes, spheres, capsules, boxes.
 
 Body 2 is the one that the normal n points to, body 1 the other (the plane's, which may not move). How the contact's
-point p, its distance and its frame move with dof i, (dp_i, ddist_i, phi_i), is geometry: `_mujoco_inverse_geometry`.
+point p, its distance and its frame move with dof i, (dp_i, ddist_i, phi_i), is geometry: `geometry`.
 The rest holds for any pair. A row's direction E = (couple, force) measures couple . w + force . (velocity at p) of body
 2 less that of body 1, and with V = sum S_j x_j of a body, V_i the same before i's group,
 
@@ -22,9 +22,9 @@ pull request google-deepmind/mujoco_warp#1535.
 
 from __future__ import annotations
 
-from mjslq.dynamics._mujoco_inverse_geometry import contact_motion
-from mjslq.dynamics._mujoco_inverse_job import entry_address, flags, integers, matrix, vector
-from mjslq.dynamics._mujoco_inverse_spatial import (
+from mjslq.dynamics.mujoco.inverse.geometry import contact_motion
+from mjslq.dynamics.mujoco.inverse.job import entry_address, flags, integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     add6,
     compiled,

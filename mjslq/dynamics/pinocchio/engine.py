@@ -6,8 +6,8 @@ Notation
     dx = (dq, dv)               ndx = 2 nv       tangent direction, as in pin.integrate and pin.difference
     u                           nu               joint torques [Nm] or forces [N]; a floating base has none
     y                           ny               positions and orientations of frames, read at x_n
-    x_{n+1}                                      semi-implicit Euler (`_pinocchio_horizon`), or Runge-Kutta of
-                                                 fourth order (`_pinocchio_runge_kutta`)
+    x_{n+1}                                      semi-implicit Euler (`horizon`), or Runge-Kutta of
+                                                 fourth order (`runge_kutta`)
 
 A floating base is a position, a quaternion (x, y, z, w), and velocities [linear, angular] both in the base's own
 frame. (MuJoCo: (w, x, y, z), and the linear velocity in the world's frame.) All Jacobians are analytic: Pinocchio's
@@ -29,14 +29,14 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from mjslq._validation import Array, as_array, choose, positive
-from mjslq.dynamics import _pinocchio_models as models
 from mjslq.dynamics._base import Dynamics, Linearization, Output
-from mjslq.dynamics._pinocchio_outputs import Readings
+from mjslq.dynamics.pinocchio import models
+from mjslq.dynamics.pinocchio.outputs import Readings
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from mjslq.dynamics._pinocchio_horizon import Horizon
+    from mjslq.dynamics.pinocchio.horizon import Horizon
 
 Integrator = Literal["semi-implicit-euler", "rk4"]
 _INTEGRATORS = ("semi-implicit-euler", "rk4")
@@ -210,7 +210,7 @@ class PinocchioDynamics(Dynamics):
 
         y = self._readings.read_plainly(model, data, q)
         if self.integrator == "rk4":
-            from mjslq.dynamics._pinocchio_runge_kutta import runge_kutta
+            from mjslq.dynamics.pinocchio.runge_kutta import runge_kutta
 
             q, v, _ = runge_kutta(model, h, q, v, acceleration)
         else:
@@ -316,8 +316,8 @@ class PinocchioDynamics(Dynamics):
 
     @cached_property
     def _horizon(self) -> Horizon:
-        from mjslq.dynamics._pinocchio_horizon import SemiImplicitEuler
-        from mjslq.dynamics._pinocchio_runge_kutta import RungeKutta4
+        from mjslq.dynamics.pinocchio.horizon import SemiImplicitEuler
+        from mjslq.dynamics.pinocchio.runge_kutta import RungeKutta4
 
         h, rest = float(self.dt), (self.damping, self._actuated, self._readings)
         if self.integrator == "rk4":

@@ -10,7 +10,7 @@ from mjslq._validation import choose, positive
 if TYPE_CHECKING:
     import mujoco
 
-_PACKAGE = Path(__file__).resolve().parent.parent
+_PACKAGE = Path(__file__).resolve().parents[2]
 _FAR = 1e6  # upper end of the springs' dead bands: never reached
 
 
@@ -74,7 +74,7 @@ def drag_spec(beta: float, timestep: float = 1.0 / 500.0) -> mujoco.MjSpec:
 
 
 def _load(name: str, timestep: float) -> mujoco.MjSpec:
-    from mjslq.dynamics._mujoco_files import load_spec
+    from mjslq.dynamics.mujoco.files import load_spec
 
     spec = load_spec(asset_path(name))
     spec.option.timestep = positive("timestep", timestep)

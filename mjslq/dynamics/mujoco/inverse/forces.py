@@ -24,7 +24,7 @@ import math
 
 import mujoco
 
-from mjslq.dynamics._mujoco_inverse_columns import (
+from mjslq.dynamics.mujoco.inverse.columns import (
     ACT_RANGE,
     ACTUATOR_NUMBERS,
     BAND,
@@ -37,8 +37,8 @@ from mjslq.dynamics._mujoco_inverse_columns import (
     TENDON_NUMBERS,
     TIME_CONSTANT,
 )
-from mjslq.dynamics._mujoco_inverse_job import integers, matrix, vector
-from mjslq.dynamics._mujoco_inverse_spatial import (
+from mjslq.dynamics.mujoco.inverse.job import integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     compiled,
     cross3,

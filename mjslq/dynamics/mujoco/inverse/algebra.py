@@ -7,7 +7,7 @@ matrices need not be symmetric: A = U L with U unit upper, L lower triangular.
 
 from __future__ import annotations
 
-from mjslq.dynamics._mujoco_inverse_spatial import compiled
+from mjslq.dynamics.mujoco.inverse.spatial import compiled
 
 
 @compiled

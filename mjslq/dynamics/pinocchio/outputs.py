@@ -25,8 +25,8 @@ import pinocchio as pin
 
 from mjslq._rotation import product
 from mjslq._validation import Array
-from mjslq.dynamics import _pinocchio_kernels as kernels
 from mjslq.dynamics._base import Output
+from mjslq.dynamics.pinocchio import kernels
 
 ORIENTATION = ".orientation"
 _PREFERRED = ("BODY", "OP_FRAME", "FIXED_JOINT", "JOINT", "SENSOR")

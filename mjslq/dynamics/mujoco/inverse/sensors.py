@@ -1,6 +1,6 @@
 """Derivatives of sensor readings: rows of C = dy/dx and D = dy/du.
 
-Notation (spatial vectors: `_mujoco_inverse_spatial`; P_i, h^C, I^C: `_mujoco_inverse_rigid`)
+Notation (spatial vectors: `spatial`; P_i, h^C, I^C: `rigid`)
 --------
     p, R, v, w           place, orientation, velocity, angular velocity of a frame fixed in a body (the object)
     p_r, R_r, v_r, w_r   those of the reference frame; the world's when a sensor has none
@@ -24,9 +24,9 @@ from __future__ import annotations
 
 from numba import types
 
-from mjslq.dynamics import _mujoco_inverse_columns as columns
-from mjslq.dynamics._mujoco_inverse_job import integers, matrix, vector
-from mjslq.dynamics._mujoco_inverse_spatial import (
+from mjslq.dynamics.mujoco.inverse import columns
+from mjslq.dynamics.mujoco.inverse.job import integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     add6,
     compiled,
@@ -44,7 +44,7 @@ from mjslq.dynamics._mujoco_inverse_spatial import (
     tail,
     velocity_at,
 )  # fmt: skip
-from mjslq.dynamics._mujoco_kernels import _copy, mj_forward, mjd_transitionFD
+from mjslq.dynamics.mujoco.kernels import _copy, mj_forward, mjd_transitionFD
 
 _POS, _QUAT, _AXIS, _VEL, _TURN = (
     columns.FRAME_POS, columns.FRAME_QUAT, columns.FRAME_AXIS, columns.FRAME_VEL, columns.FRAME_TURN

@@ -26,7 +26,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from mjslq.dynamics._mujoco_library import library_path
+from mjslq.dynamics.mujoco.library import library_path
 
 llvmlite.binding.load_library_permanently(library_path())
 

@@ -10,10 +10,10 @@ import mujoco
 import numpy as np
 
 from mjslq._validation import Array
-from mjslq.dynamics import _mujoco_kernels as kernels
 from mjslq.dynamics._base import Linearization
-from mjslq.dynamics._mujoco_checks import refuse_callbacks
-from mjslq.dynamics._mujoco_library import Workers, quiet
+from mjslq.dynamics.mujoco import kernels
+from mjslq.dynamics.mujoco.checks import refuse_callbacks
+from mjslq.dynamics.mujoco.library import Workers, quiet
 from mjslq.trajectory import Trajectory
 
 

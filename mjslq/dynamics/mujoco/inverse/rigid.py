@@ -1,6 +1,6 @@
 """Derivatives of a rigid-body tree's inverse dynamics, tau = M(q) a + c(q, v), exact and in one sweep.
 
-Notation (spatial vectors: `_mujoco_inverse_spatial`)
+Notation (spatial vectors: `spatial`)
 --------
     S_i                  motion of dof i per unit of its velocity, cdof[i]
     v, a                 velocity and acceleration on the parent's side of a joint; the world accelerates with -gravity
@@ -30,8 +30,8 @@ so that twelve numbers per body stand for its 36 entries, six of which are the m
 
 from __future__ import annotations
 
-from mjslq.dynamics._mujoco_inverse_job import integers, matrix, vector
-from mjslq.dynamics._mujoco_inverse_spatial import (
+from mjslq.dynamics.mujoco.inverse.job import integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     add6,
     compiled,

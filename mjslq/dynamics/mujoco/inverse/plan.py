@@ -1,6 +1,6 @@
 """What the kernel of the inverse Jacobians has to know about a model.
 
-`plan` turns a model that they cover (`_mujoco_inverse_cover`) into the arrays that `_mujoco_inverse_job` names, in
+`plan` turns a model that they cover (`cover`) into the arrays that `job` names, in
 the kernel's terms: scalar springs, dof dampers with what actuators add to them, tendons and actuators with constant
 moment arms, limits that are infinite where there are none.
 """
@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjslq.dynamics import _mujoco_inverse_columns as columns
+from mjslq.dynamics.mujoco.inverse import columns
 
 
 def whole(kind: Any) -> SimpleNamespace:
@@ -75,6 +75,7 @@ def _array(value: Any) -> np.ndarray[Any, Any]:
 
 
 def disabled(model: mujoco.MjModel, flag: Any) -> bool:
+    """Whether a part of the simulation is switched off."""
     return bool(model.opt.disableflags & flag)
 
 
@@ -146,7 +147,7 @@ def _ranges(limited: Any, given: Any) -> Any:
 
 
 def _geoms(model: mujoco.MjModel) -> dict[str, Any]:
-    """Kinds of geoms as `_mujoco_inverse_contacts` tells them apart, and radii and sizes."""
+    """Kinds of geoms as `contacts` tells them apart, and radii and sizes."""
     types, static = model.geom_type, model.body_weldid[model.geom_bodyid] == 0
     kind = np.zeros(model.ngeom, np.int64)
     kind[types == GEOM.mjGEOM_MESH] = columns.MESH

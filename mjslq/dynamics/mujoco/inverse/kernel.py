@@ -5,11 +5,11 @@ Notation
     a_d = (v_next - v) / h       acceleration of the discrete step, read off the trajectory
     a_c                          acceleration that MuJoCo's constraint rows see: M a_c = M^ a_d
     M^                           M (Euler), M + h D (Euler with joint damping), M - h T (implicitfast, T = df/dv of
-                                 `_mujoco_inverse_forces`), and + h dc/dv on dofs with gyroscopic terms (implicit, and
+                                 `forces`), and + h dc/dv on dofs with gyroscopic terms (implicit, and
                                  free bodies without joints under implicitfast)
-    tau = M a + c                inverse dynamics of the rigid bodies (`_mujoco_inverse_rigid`)
+    tau = M a + c                inverse dynamics of the rigid bodies (`rigid`)
     f, F = df/dz, E              other smooth forces, and E = h (d(T - dc/dv)/dz) a_d
-    J' s                         constraint forces, s = s(J a_c - aref) (`_mujoco_inverse_constraints`)
+    J' s                         constraint forces, s = s(J a_c - aref) (`constraints`)
     z = (q, v, act, u)           what is differentiated by, in tangent directions
 
 The step satisfies M^ a_d = M a_c = f - c + J' s. By the implicit function theorem, without constraint rows
@@ -35,11 +35,11 @@ import numba
 import numpy as np
 from numba import types
 
-from mjslq.dynamics._mujoco_inverse_algebra import add_product, factorize, solve
-from mjslq.dynamics._mujoco_inverse_columns import ARMATURE, TENDON_NUMBERS
-from mjslq.dynamics._mujoco_inverse_constraints import add_rows, evaluate_rows, find_rows
-from mjslq.dynamics._mujoco_inverse_differences import add_differences, mj_comPos, mj_kinematics
-from mjslq.dynamics._mujoco_inverse_forces import (
+from mjslq.dynamics.mujoco.inverse.algebra import add_product, factorize, solve
+from mjslq.dynamics.mujoco.inverse.columns import ARMATURE, TENDON_NUMBERS
+from mjslq.dynamics.mujoco.inverse.constraints import add_rows, evaluate_rows, find_rows
+from mjslq.dynamics.mujoco.inverse.differences import add_differences, mj_comPos, mj_kinematics
+from mjslq.dynamics.mujoco.inverse.forces import (
     activate,
     actuate,
     add_actuators,
@@ -48,8 +48,8 @@ from mjslq.dynamics._mujoco_inverse_forces import (
     add_springs,
     add_tendons,
 )
-from mjslq.dynamics._mujoco_inverse_job import JOB, integers, matrix, vector
-from mjslq.dynamics._mujoco_inverse_rigid import (
+from mjslq.dynamics.mujoco.inverse.job import JOB, integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.rigid import (
     add_compensation_derivative,
     add_mass_derivative,
     inward,
@@ -57,9 +57,9 @@ from mjslq.dynamics._mujoco_inverse_rigid import (
     outward,
     subtract_derivatives,
 )
-from mjslq.dynamics._mujoco_inverse_sensors import difference_sensors, write_sensors
-from mjslq.dynamics._mujoco_inverse_spatial import compiled, inlined
-from mjslq.dynamics._mujoco_kernels import (
+from mjslq.dynamics.mujoco.inverse.sensors import difference_sensors, write_sensors
+from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
+from mjslq.dynamics.mujoco.kernels import (
     _address,
     _compiled,
     _copy,
@@ -355,7 +355,7 @@ def _visit_last_knot(job):
 def _sources() -> int:
     """Checksum of all that the kernel is made of: numba by itself looks at this file's date alone."""
     folder, checksum = Path(__file__).parent, 1
-    for path in [folder / "_mujoco_kernels.py", *sorted(folder.glob("_mujoco_inverse_*.py"))]:
+    for path in [folder.parent / "kernels.py", *sorted(folder.glob("*.py"))]:
         checksum = zlib.crc32(path.read_bytes(), checksum)
     return checksum + 1
 

@@ -133,7 +133,7 @@ def viewer_scene(path: Path, model: Any, floating_base: bool, locked: dict[str, 
     """The robot as MuJoCo reads it, its joints matched by name; None where MuJoCo cannot read the file."""
     import mujoco
 
-    from mjslq.dynamics._mujoco_files import compiled, urdf_spec
+    from mjslq.dynamics.mujoco.files import compiled, urdf_spec
 
     try:
         spec = urdf_spec(path, floating=floating_base, motors=False)

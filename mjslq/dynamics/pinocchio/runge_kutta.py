@@ -26,8 +26,8 @@ import numpy as np
 import pinocchio as pin
 
 from mjslq._validation import Array
-from mjslq.dynamics import _pinocchio_kernels as kernels
-from mjslq.dynamics._pinocchio_horizon import Horizon, Recorder
+from mjslq.dynamics.pinocchio import kernels
+from mjslq.dynamics.pinocchio.horizon import Horizon, Recorder
 
 Acceleration = Callable[[int, Array, Array], Array]
 

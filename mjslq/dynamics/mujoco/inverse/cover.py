@@ -12,9 +12,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjslq.dynamics import _mujoco_inverse_columns as columns
-from mjslq.dynamics._mujoco_inverse_outputs import TYPES, sensors
-from mjslq.dynamics._mujoco_inverse_plan import (
+from mjslq.dynamics.mujoco.inverse import columns
+from mjslq.dynamics.mujoco.inverse.outputs import TYPES, sensors
+from mjslq.dynamics.mujoco.inverse.plan import (
     BIAS,
     DYN,
     EQ,

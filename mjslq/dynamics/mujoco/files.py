@@ -24,8 +24,8 @@ from typing import TypeVar
 import mujoco
 import numpy as np
 
-from mjslq.dynamics._mujoco_checks import refuse_callbacks
-from mjslq.dynamics._mujoco_library import quiet
+from mjslq.dynamics.mujoco.checks import refuse_callbacks
+from mjslq.dynamics.mujoco.library import quiet
 
 Made = TypeVar("Made")
 _LEAST_INERTIA = 1e-12

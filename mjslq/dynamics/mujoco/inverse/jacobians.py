@@ -1,6 +1,6 @@
 """Jacobians of MuJoCo's discrete step through its inverse dynamics: the Python side.
 
-The mathematics stands at the head of `_mujoco_inverse_kernel`; which models are covered, in `_mujoco_inverse_cover`.
+The mathematics stands at the head of `kernel`; which models are covered, in `cover`.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mjslq.dynamics import _mujoco_kernels as kernels
 from mjslq.dynamics._base import Linearization
-from mjslq.dynamics._mujoco_inverse_job import INDICES, JOB, VIEWS, WORK
-from mjslq.dynamics._mujoco_inverse_layout import offsets
-from mjslq.dynamics._mujoco_inverse_outputs import sensors
-from mjslq.dynamics._mujoco_inverse_plan import arrays, plan
+from mjslq.dynamics.mujoco import kernels
+from mjslq.dynamics.mujoco.inverse.job import INDICES, JOB, VIEWS, WORK
+from mjslq.dynamics.mujoco.inverse.layout import offsets
+from mjslq.dynamics.mujoco.inverse.outputs import sensors
+from mjslq.dynamics.mujoco.inverse.plan import arrays, plan
 from mjslq.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import mujoco
 
-    from mjslq.dynamics._mujoco_horizon import Horizon
+    from mjslq.dynamics.mujoco.horizon import Horizon
 
 
 class InverseJacobians:
@@ -36,7 +36,7 @@ class InverseJacobians:
 
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step and of the outputs, the knots shared out among the workers."""
-        from mjslq.dynamics._mujoco_inverse_kernel import inverse
+        from mjslq.dynamics.mujoco.inverse.kernel import inverse
 
         horizon, N = self._horizon, trajectory.horizon
         nu, ny, ndx = horizon.model.nu, horizon.model.nsensordata, horizon.ndx

@@ -1,6 +1,6 @@
 """What the kernel of the inverse Jacobians has to know about a model's sensors.
 
-Sensors that costs are made of have derivatives in closed form (`_mujoco_inverse_sensors`). When a model has others,
+Sensors that costs are made of have derivatives in closed form (`sensors`). When a model has others,
 readings are differenced (mjd_transitionFD, C and D alone), and the closed forms put over that where there are some.
 """
 
@@ -11,8 +11,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjslq.dynamics import _mujoco_inverse_columns as columns
-from mjslq.dynamics._mujoco_inverse_plan import ON_JOINTS, SCALAR, TRN, tendon_dofs, whole
+from mjslq.dynamics.mujoco.inverse import columns
+from mjslq.dynamics.mujoco.inverse.plan import ON_JOINTS, SCALAR, TRN, tendon_dofs, whole
 
 _SENSOR, _OBJECT = whole(mujoco.mjtSensor), whole(mujoco.mjtObj)
 TYPES = {int(kind): name.removeprefix("mjSENS_").lower() for name, kind in mujoco.mjtSensor.__members__.items()}

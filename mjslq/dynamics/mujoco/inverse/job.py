@@ -8,11 +8,11 @@ Notation
 Entries of a job, arrays by address:
 
     SIZES                counts and switches
-    INTEGERS, NUMBERS    what the plan (`_mujoco_inverse_plan`) found out about the model, constant
+    INTEGERS, NUMBERS    what the plan (`plan`) found out about the model, constant
     VIEWS                arrays of mjData, filled by MuJoCo's own functions at each knot
     WORK                 arrays for intermediate results, one set per worker
     RESULTS              the trajectory and its Jacobians
-    OFFSETS              where mjData and mjContact hold what lies in the arena (`_mujoco_inverse_layout`)
+    OFFSETS              where mjData and mjContact hold what lies in the arena (`layout`)
 
 Names are those of mjModel and mjData wherever they mean the same. A compiled function takes the whole job and makes
 the arrays that it needs of it, with `integers`, `vector`, `matrix`: that is free, and keeps its signature short.
@@ -23,8 +23,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from mjslq.dynamics._mujoco_inverse_layout import ARENA, CONTACT, COUNTS
-from mjslq.dynamics._mujoco_kernels import _pointer
+from mjslq.dynamics.mujoco.inverse.layout import ARENA, CONTACT, COUNTS
+from mjslq.dynamics.mujoco.kernels import _pointer
 
 SIZES = (
     "N", "first", "last", "nq", "nv", "na", "nu", "ny", "columns", "nbody", "ngeom", "nsite", "nspring", "nball",

@@ -1,0 +1,11 @@
+"""Jacobians of the MuJoCo step through its inverse dynamics: no constraint solver runs, and little is differenced.
+
+kernel              the equations, and the loop over knots
+spatial, algebra    spatial vectors, small dense matrices
+rigid               the rigid bodies' inverse dynamics and their derivatives
+forces              springs, dampers, actuators
+constraints, contacts, geometry, differences    constraint rows: in closed form, or by differences of positions
+sensors, outputs    C and D
+cover, plan, layout, job, columns    which models are covered; what the kernel is told about one
+jacobians           the engine's side
+"""
