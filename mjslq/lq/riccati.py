@@ -22,12 +22,11 @@ Recursion, from P_N = Q_N, p_N = q_N down
     P <- Q - K'M - M'K + K'R_mu K + F'P F       (Joseph's form)
     p <- q - K'r + F'(p + P c)
 
-The paper's (23)-(26) give the same P and s = p through an inverse that is not symmetric. Joseph's form adds
-squares only, so that P stays symmetric and positive semidefinite under rounding, and an error in K enters P
-in second order; it costs nx^2 nu multiplications more than the shortest form, which is little. `solve` then
-repeats the two vector recursions on the residual of the first-order conditions (iterative refinement): on
-ill-conditioned problems (terminal weights 1e12 times the control weights) that takes the error of the
-controls from 1e-5 to 1e-10.
+The paper's (23)-(26) give the same P and s = p through an inverse that is not symmetric. Joseph's form adds squares
+only, so that P stays symmetric and positive semidefinite under rounding, and an error in K enters P in second order;
+it costs nx^2 nu multiplications more than the shortest form, which is little. `solve` then repeats the two vector
+recursions on the residual of the first-order conditions (iterative refinement) where the pivots of G tell that it
+matters: with terminal weights 1e12 times the control weights that takes the error of the controls from 1e-5 to 1e-10.
 """
 
 from __future__ import annotations
@@ -46,6 +45,10 @@ from mjslq.lq._dense import (
     multiply,
     multiply_transposed,
 )
+
+
+WIDE = 1e4
+"""Spread of the pivots of G up to which rounding stays below 1e-11 without refinement."""
 
 
 class LQProblem(NamedTuple):
@@ -86,7 +89,7 @@ class NotPositiveDefinite(ArithmeticError):
         self.step = step
 
 
-def solve(problem: LQProblem, multiplier: float = 0.0, refinements: int = 1) -> LQSolution:
+def solve(problem: LQProblem, multiplier: float = 0.0, refinements: int | None = None) -> LQSolution:
     """Minimize by one sweep back and one forth.
 
     Parameters
@@ -96,7 +99,8 @@ def solve(problem: LQProblem, multiplier: float = 0.0, refinements: int = 1) -> 
     multiplier : float
         mu >= 0, added to the diagonal of the control Hessian.
     refinements : int
-        Rounds of iterative refinement, cheap beside the matrix recursion; one is enough but for extreme weights.
+        Rounds of iterative refinement. Unless given, one where the pivots of G spread over more than `WIDE`, none
+        elsewhere; one is enough but for extreme weights.
 
     Raises
     ------
@@ -113,6 +117,9 @@ def solve(problem: LQProblem, multiplier: float = 0.0, refinements: int = 1) -> 
     k, p = np.empty((N, nu)), np.empty((N + 1, nx))
     X, U = np.empty((N + 1, nx)), np.empty((N, nu))
     _vectors(A, B, q, r, c, K, L, F, P, k, p, X, U)
+    if refinements is None:
+        pivots = L.diagonal(axis1=1, axis2=2)
+        refinements = int(pivots.max(initial=0.0) ** 2 > WIDE * pivots.min(initial=np.inf) ** 2)
     if refinements:
         correction = tuple(np.empty_like(array) for array in (k, p, X, U))
         residual_q, residual_r, residual_c = np.empty_like(q), np.empty_like(r), np.empty_like(c)
