@@ -46,7 +46,6 @@ from mjslq.lq._dense import (
     multiply_transposed,
 )
 
-
 WIDE = 1e4
 """Spread of the pivots of G up to which rounding stays below 1e-11 without refinement."""
 
