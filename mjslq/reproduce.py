@@ -48,20 +48,43 @@ def slq() -> Iterator[Row]:
             off = 100.0 * (result.trajectory.X[-1, 0] / height - 1.0)
             what = f"section 4.2, hopper, height {height:g}, SLQ iterations ({step}, tol 1e-3)"
             yield _iterations(what, result, reported, f", height {off:+.2f} %")
-    for alpha in (1e-4, 1e-5, 1e-6):
-        result = solve(problems.get("hopper", alpha=alpha, engine="function"))
+    for alpha in (1e-4, 1e-5, 1e-6, 1e-8):
+        result = solve(problems.get("hopper", alpha=alpha, engine="function"), tol_direction=1e-3)
         paper = "converges" if alpha >= 1e-5 else "no convergence"
         ours = f"{result.status.value} in {result.iterations}"
         better = "the paper's method fails here, ours converges" if alpha < 1e-5 else "reproduced"
         yield Row(
-            f"section 4.2, hopper, height 20, alpha = {alpha:g}",
+            f"section 4.2, hopper, height 20, alpha = {alpha:g} (tol 1e-3)",
             paper,
             ours,
             better if result.success else "not reached",
         )
 
 
-PAPERS: dict[str, Callable[[], Iterator[Row]]] = {"slq": slq}
+def trust_region() -> Iterator[Row]:
+    """Fukushima and Yamamoto 1986: Table I, and where the iteration ends."""
+    from mjslq.problems.van_der_pol import PAPER_COST, PAPER_TABLE
+
+    eta_1 = 0.25
+    result = solve(problems.get("van_der_pol"), "trust-region", tol_direction=0.0, tol_gradient=1e-8)
+    for k, ((J, after, Q, rho, Delta), entry) in enumerate(zip(PAPER_TABLE, result.log, strict=False)):
+        paper = f"J {J:.3f} -> {after:.3f}, Q {Q:+.3f}, rho {rho:+.3f}, Delta {Delta:g}"
+        there = entry.cost + entry.ratio * entry.predicted
+        ours = f"J {entry.cost:.3f} -> {there:.3f}, Q {entry.predicted:+.3f}, rho {entry.ratio:+.3f}"
+        ours += f", Delta {entry.radius:g}"
+        same = (rho >= eta_1) == (entry.ratio >= eta_1) and Delta == entry.radius
+        off = 100.0 * abs(entry.cost / J - 1.0)
+        decision = "same radius, same decision" if same else "another radius or decision"
+        yield Row(f"Table I, iteration {k}", paper, ours, f"{decision}; J differs by {off:.1f} %")
+    gap = 100.0 * (result.cost / PAPER_COST - 1.0)
+    yield Row(
+        "where it ends", f"J {PAPER_COST:.3f} after 12 iterations",
+        f"J {result.cost:.6f}, |gradient| {result.gradient_norm:.0e} after {len(result.log) - 1}",
+        f"converged, J differs by {gap:+.1f} %" if result.success else result.status.value,
+    )  # fmt: skip
+
+
+PAPERS: dict[str, Callable[[], Iterator[Row]]] = {"slq": slq, "trust-region": trust_region}
 """Papers by the name of their method."""
 
 

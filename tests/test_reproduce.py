@@ -44,8 +44,15 @@ def test_verdicts_say_what_the_numbers_say(iterations, success, reported, verdic
     assert reproduce._iterations("x", result, reported, "").verdict == verdict
 
 
+def test_table_i_of_the_trust_region_paper():
+    *rows, end = reproduce.trust_region()
+    assert len(rows) == 6
+    assert all(row.verdict.startswith("same radius, same decision") for row in rows)
+    assert "J 4.392865" in end.ours and end.verdict.startswith("converged")
+
+
 def test_unknown_papers_are_named():
     command = [sys.executable, "-m", "mjslq.cli", "reproduce", "slk"]
     outcome = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert outcome.returncode == 2
-    assert "unknown paper 'slk'; there are: slq" in outcome.stderr
+    assert "unknown paper 'slk'; there are: slq, trust-region" in outcome.stderr
