@@ -148,6 +148,7 @@ def check(
     from rich.table import Table
 
     from mjslq._validation import count
+    from mjslq.dynamics._base import TOLERANCE
 
     dynamics, x0 = _dynamics_of(what)
     console = Console()
@@ -157,14 +158,16 @@ def check(
     console.print(parts)
     trajectory = _random_motion(dynamics, x0, count("steps", steps), seed)
     found = dynamics.check_derivatives(trajectory)
-    errors = Table(
-        "Jacobian", "largest error, relative", "at step, row, column", box=None, pad_edge=False, header_style="bold"
-    )
+    titles = ("Jacobian", "median error", "largest", "at step, row, column", "knots off")
+    errors = Table(*titles, box=None, pad_edge=False, header_style="bold", caption="relative to the largest entry")
     for name, error in found.errors.items():
-        errors.add_row(name, f"{error:.1e}", str(found.worst[name]))
+        usual, share = f"{found.typical[name]:.1e}", f"{found.share[name]:.0%}"
+        errors.add_row(name, usual, f"{error:.1e}", str(found.worst[name]), share)
     console.print()
     console.print(errors)
-    raise typer.Exit(0 if found.worst_error < 1e-3 else 1)
+    if found.worst_error > TOLERANCE and not found.suspects:
+        print("a few knots are off, as where contacts open and close: a kink of the motion, no wrong derivative")
+    raise typer.Exit(1 if found.suspects else 0)
 
 
 @app.command()

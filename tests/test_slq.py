@@ -439,7 +439,8 @@ def test_derivative_check_refuses_a_wrong_jacobian(name, entry):
         return matrices["A"], matrices["B"]
 
     dynamics = FunctionDynamics(pendulum_equations, 2, 1, 0.05, jacobian=jacobian)
-    with pytest.raises(ValueError, match=rf"derivative check: {name}\[\d+, {entry[0]}, {entry[1]}\] is off by"):
+    place = rf"{name}\[\d+, {entry[0]}, {entry[1]}\]"
+    with pytest.raises(ValueError, match=rf"derivative check: {name} is off at 100% of the knots, most at {place} by"):
         solve(pendulum(dynamics=dynamics), check_derivatives=True)
 
 
@@ -476,7 +477,8 @@ def test_wrong_arguments_are_refused_in_one_sentence(change, sentence):
 
 def test_methods_tell_what_they_take():
     methods = mjslq.methods()
-    assert methods["slq"].options == {"line_search": "quadratic-fit", "step": "auto", "acceleration": True}
+    own = {"line_search": "quadratic-fit", "step": "auto", "acceleration": True, "multiplier": None, "damping": 1e-3}
+    assert methods["slq"].options == own
     assert methods["slq"].summary and methods["slq"].needs
     methods.clear()  # a copy
     assert "slq" in mjslq.methods()
