@@ -56,6 +56,12 @@ class BoundTerm(ABC):
     def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
         """Add gradient and (Gauss-Newton) Hessian to `into`."""
 
+    def complete(self, trajectory: Trajectory, into: Expansion, weights: Array) -> None:  # noqa: B027  (often nothing)
+        """Add what `expand` leaves out of the Hessian: here to `into`, or for outputs dJ/dy to `weights` (N + 1, ny).
+
+        Left out for good: the curvature of difference() for states and readings that are rotations.
+        """
+
 
 class StateTerm(BoundTerm):
     """1/2 d'W_n d with d = difference(target_n, x_n)."""
@@ -130,6 +136,10 @@ class SensorTerm(BoundTerm):
             into.M[steps] += DW @ C[running]
             into.r[steps] += _transposed_times(D, Wd[running])
 
+    def complete(self, trajectory: Trajectory, into: Expansion, weights: Array) -> None:
+        if not self._quaternion:
+            weights[self._knots, self._columns] += self._scales[:, None] * (self._difference(trajectory) @ self._W)
+
     def _difference(self, trajectory: Trajectory) -> Array:
         y = trajectory.Y[self._knots, self._columns]
         return log(product(conjugate(self._target), y)) if self._quaternion else y - self._target
@@ -188,8 +198,19 @@ class ResidualTerm(PointwiseTerm):
                 WJ = scale * self._W @ J
                 self._add(n, z[: self._nx], WJ.T @ self._value(z, t), J.T @ WJ, into)
 
+    def complete(self, trajectory: Trajectory, into: Expansion, weights: Array) -> None:
+        with refused_complex("r(x, u, t)", "jacobian="):
+            for n, scale, z, t in self._knots(trajectory):
+                Wr = scale * self._W @ self._value(z, t)
+                H = _differences(partial(self._weighted_derivative, t=t, weights=Wr), z)
+                self._add(n, z[: self._nx], np.zeros(z.size), 0.5 * (H + H.T), into)
+
     def _value(self, z: Array, t: float) -> Array:
         return np.atleast_1d(np.asarray(self._r(z[: self._nx], z[self._nx :], t)))
+
+    def _weighted_derivative(self, z: Array, t: float, weights: Array) -> Array:
+        product: Array = weights @ self._derivative(z, t)
+        return product
 
     def _derivative(self, z: Array, t: float) -> Array:
         """dr/d(x, u). Shape (m, nx + nu)."""
@@ -218,6 +239,13 @@ class FunctionTerm(PointwiseTerm):
                 hessian = _positive_part(0.5 * (H + H.T))
                 self._add(n, z[: self._nx], scale * self._gradient(z, t), scale * hessian, into)
 
+    def complete(self, trajectory: Trajectory, into: Expansion, weights: Array) -> None:
+        with refused_complex("l(x, u, t)", "gradient= and hessian="):
+            for n, scale, z, t in self._knots(trajectory):
+                H = self._hessian(z, t)
+                H = 0.5 * (H + H.T)
+                self._add(n, z[: self._nx], np.zeros(z.size), scale * (H - _positive_part(H)), into)
+
     def _value(self, z: Array, t: float) -> Array:
         return np.asarray(self._l(z[: self._nx], z[self._nx :], t)).reshape(1)
 
@@ -233,12 +261,17 @@ class FunctionTerm(PointwiseTerm):
         if self._given_hessian is not None:
             value = self._given_hessian(z[: self._nx], z[self._nx :], t)
             return _checked("hessian", (value,), [(z.size, z.size)])[0]
-        columns = []
-        for i in range(z.size):
-            d = np.zeros(z.size)
-            d[i] = 6e-6 * max(1.0, abs(z[i]))
-            columns.append((self._gradient(z + d, t) - self._gradient(z - d, t)) / (2.0 * d[i]))
-        return np.stack(columns, axis=-1)
+        return _differences(lambda y: self._gradient(y, t), z)
+
+
+def _differences(gradient: Callable[[Array], Array], z: Array) -> Array:
+    """Jacobian of a gradient by central differences. Shape (len(z), len(z))."""
+    columns = []
+    for i in range(z.size):
+        d = np.zeros(z.size)
+        d[i] = 6e-6 * max(1.0, abs(z[i]))
+        columns.append((gradient(z + d) - gradient(z - d)) / (2.0 * d[i]))
+    return np.stack(columns, axis=-1)
 
 
 def _checked(name: str, parts: Sequence[Any], shapes: list[tuple[int, ...]]) -> list[Array]:

@@ -100,6 +100,18 @@ class Problem:
             term.expand(trajectory, linearization, expansion)
         return expansion
 
+    def complete(self, trajectory: Trajectory, expansion: Expansion) -> tuple[Expansion, Array]:
+        """Second-order expansion with the whole Hessian, from the Gauss-Newton one, and dJ/dy.
+
+        Outputs enter the Hessian with their own second derivatives, contracted with dJ/dy, shape (N + 1, ny), which
+        `Dynamics.hessian` takes as `weights`.
+        """
+        full = Expansion(*(part.copy() for part in expansion))
+        weights = np.zeros((self.horizon + 1, self.dynamics.ny))
+        for term in self._terms:
+            term.complete(trajectory, full, weights)
+        return full, weights
+
     def gradient(self, trajectory: Trajectory) -> Array:
         """Gradient dJ/dU by the adjoint recursion. Shape (N, nu).  (Sideris and Bobrow 2005, (8)-(10).)"""
         linearization = self.dynamics.linearize(trajectory)

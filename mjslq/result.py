@@ -41,6 +41,14 @@ class IterationLog:
     """Wall time from the start of the solve to the end of this iteration. [s]"""
     multiplier: float = 0.0
     """Levenberg-Marquardt or trust-region multiplier used for the direction."""
+    radius: float = 0.0
+    """Radius of the trust region; 0 without one."""
+    predicted: float = 0.0
+    """Change of the cost that the trust region's model promised, Q(v)."""
+    ratio: float = 0.0
+    """Actual change relative to the promised one, rho; the step is rejected where it is small."""
+    gap: float = 0.0
+    """Largest gap between a step's end and the next state of a state guess; 0 for rollouts."""
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from mjslq.scene import Scene
 
 
+DIFFERENCE = 1e-5
+"""Step of the differences of Jacobians that make second derivatives."""
+
+
 class Linearization(NamedTuple):
     """Jacobians of the step and of the outputs along a trajectory, in tangent directions."""
 
@@ -45,6 +49,17 @@ class Linearization(NamedTuple):
     """d y_n / d u_n; zero at the last knot. Shape (N + 1, ny, nu)."""
 
 
+class Curvature(NamedTuple):
+    """Second derivatives of steps and outputs, contracted with costates, in tangent directions."""
+
+    xx: Array
+    """Shape (N + 1, ndx, ndx); the last knot has outputs only."""
+    ux: Array
+    """Shape (N, nu, ndx)."""
+    uu: Array
+    """Shape (N, nu, nu)."""
+
+
 class Output(NamedTuple):
     """Where a named output stands in y."""
 
@@ -54,14 +69,31 @@ class Output(NamedTuple):
     """Whether they are a unit quaternion."""
 
 
+TOLERANCE = 1e-3
+"""Relative error of a Jacobian from which on a knot counts as off."""
+
+
 @dataclass(frozen=True)
 class DerivativeCheck:
-    """How far an engine's Jacobians are from a fine reference, over the knots of a trajectory."""
+    """How far an engine's Jacobians are from a fine reference, over the knots of a trajectory.
+
+    Where a contact opens or closes the step has a kink, and no reference is right on both its sides: a few knots far
+    off are a property of the motion. Derivatives are wrong where many knots are.
+    """
 
     errors: dict[str, float]
     """Largest error of A, B (and C, D), relative to the largest entry of the reference."""
     worst: dict[str, tuple[int, int, int]]
     """Where it occurs: (step, row, column)."""
+    typical: dict[str, float]
+    """Median over the knots of the largest error at each, relative likewise."""
+    share: dict[str, float]
+    """Share of the knots where it is above `TOLERANCE`."""
+
+    @property
+    def suspects(self) -> list[str]:
+        """Jacobians that are off at more than a tenth of the knots."""
+        return [name for name, share in self.share.items() if share > 0.1]
 
     @property
     def worst_error(self) -> float:
@@ -87,6 +119,8 @@ class Dynamics(ABC):
     wants_feedback: bool = False
     """Whether steps of an optimizer had better run under feedback: true of engines that simulate robots, whose
     unstable motions drift away from an open-loop change of the controls."""
+    reads_ends: bool = True
+    """Whether `linearize` may read where a step ends off the trajectory, rather than step itself."""
     control_names: tuple[str, ...]
     output_names: tuple[str, ...]
 
@@ -134,6 +168,93 @@ class Dynamics(ABC):
     @abstractmethod
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step of `trajectory`."""
+
+    def advance(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
+        """One step from each knot, the knots being independent of each other, as a state guess has them.
+
+        Takes states (N + 1, nx) and controls (N, nu); returns the states f_n(x_n, u_n) that follow (N, nx), NaN
+        where a step blows up, and the outputs (N + 1, ny).
+        """
+        states, controls = np.asarray(X, dtype=np.float64), np.asarray(U, dtype=np.float64)
+        N = len(controls)
+        F, Y = np.empty((N, self.nx)), np.empty((N + 1, self.ny))
+        for n in range(N):
+            F[n], Y[n] = self.step(states[n], controls[n], n)
+        Y[N] = self.step(states[N], np.zeros(self.nu), N - 1)[1]
+        return F, Y
+
+    def linearize_steps(self, X: Array, U: Array, F: Array) -> Linearization:
+        """Jacobians of steps that need not follow each other: from x_n under u_n to F_n, which is f_n(x_n, u_n).
+
+        Where the engine `reads_ends`, even and odd steps take turns: in each of two trajectories every other step is
+        whole.
+        """
+        if not self.reads_ends:
+            return self.linearize(Trajectory(X, U, dt=self.dt))
+        parts = []
+        for parity in (0, 1):
+            states = np.array(X)
+            states[parity + 1 :: 2] = F[parity::2]
+            parts.append(self.linearize(Trajectory(states, U, dt=self.dt)))
+        merged = [array.copy() for array in parts[0]]
+        for array, odd in zip(merged, parts[1], strict=True):
+            array[1::2] = odd[1::2]
+        return Linearization(*merged)
+
+    def hessian(
+        self,
+        trajectory: Trajectory,
+        costates: Array,
+        weights: Array | None = None,
+        linearization: Linearization | None = None,
+        ends: Array | None = None,
+    ) -> Curvature:
+        """Second derivatives of sum_n lambda_{n+1}'f_n + w_n'y_n along `trajectory`, in tangent directions.
+
+        `costates` (N + 1, ndx) are the lambda_n of `adjoint`, `weights` (N + 1, ny) the w_n, `ends` (N, nx) the
+        states at which the steps end where these are not the trajectory's next ones. Central differences of
+        `linearize` along each tangent direction, all knots at once. Only their symmetric part is kept: on a manifold
+        the rest is the turning of the tangent directions, not curvature.
+        """
+        if linearization is None:
+            linearization = self.linearize(trajectory)
+        if ends is None:
+            ends = trajectory.X[1:]
+        N, ndx, size = trajectory.horizon, self.ndx, self.ndx + self.nu
+        H = np.zeros((N + 1, size, size))
+        for i in range(size):
+            for sign in (1.0, -1.0):
+                g = self._gradients_beside(trajectory, linearization, ends, i, sign * DIFFERENCE, costates, weights)
+                H[:, i, :] += sign / (2.0 * DIFFERENCE) * g
+        return curvature_of(0.5 * (H + H.swapaxes(1, 2)), ndx)
+
+    def _gradients_beside(
+        self,
+        trajectory: Trajectory,
+        along: Linearization,
+        ends: Array,
+        i: int,
+        e: float,
+        costates: Array,
+        weights: Array | None,
+    ) -> Array:
+        """Gradient of lambda'f + w'y by (x, u) at every knot, moved by `e` along direction `i`. (N + 1, ndx + nu)."""
+        X, U, ndx = trajectory.X, np.array(trajectory.U), self.ndx
+        if i < ndx:
+            direction, move = along.A[:, :, i], np.zeros((len(X), ndx))
+            move[:, i] = e
+            X = self.integrate(X, move)
+        else:
+            direction = along.B[:, :, i - ndx]
+            U[:, i - ndx] += e
+        A, B, C, D = self.linearize_steps(X, U, self.integrate(ends, e * direction))
+        g = np.zeros((len(X), ndx + self.nu))
+        g[:-1, :ndx] = (costates[1:, None, :] @ A)[:, 0]
+        g[:-1, ndx:] = (costates[1:, None, :] @ B)[:, 0]
+        if weights is not None:
+            g[:, :ndx] += (weights[:, None, :] @ C)[:, 0]
+            g[:, ndx:] += (weights[:, None, :] @ D)[:, 0]
+        return g
 
     def difference(self, x: Array, y: Array) -> Array:
         """Tangent direction that leads from state `x` to state `y`. Shapes (..., nx) -> (..., ndx)."""
@@ -187,17 +308,24 @@ class Dynamics(ABC):
         return np.array(as_array("U", U, ("N", self.nu)))  # a copy: trajectories do not alias what they came from
 
 
+def curvature_of(H: Array, ndx: int) -> Curvature:
+    """Blocks of the Hessians by (x, u) at every knot. Shape (N + 1, ndx + nu, ndx + nu)."""
+    blocks = H[:, :ndx, :ndx], H[:-1, ndx:, :ndx], H[:-1, ndx:, ndx:]
+    return Curvature(*(np.ascontiguousarray(block) for block in blocks))
+
+
 def compare_jacobians(given: Linearization, reference: Linearization) -> DerivativeCheck:
-    """Largest relative error of each Jacobian, and where."""
-    errors, worst = {}, {}
+    """Relative errors of each Jacobian: the largest and where, the usual, and how widespread."""
+    errors, worst, typical, share = {}, {}, {}, {}
     for name, ours, fine in zip(Linearization._fields, given, reference, strict=True):
         if fine.size == 0:
             continue
-        error = np.abs(ours - fine)
+        error = np.nan_to_num(np.abs(ours - fine) / max(np.abs(fine).max(), 1e-300), nan=np.inf)
         step, row, column = np.unravel_index(int(np.argmax(error)), error.shape)
-        errors[name] = float(error.max() / max(np.abs(fine).max(), 1e-300))
-        worst[name] = (int(step), int(row), int(column))
-    return DerivativeCheck(errors, worst)
+        by_knot = error.max(axis=(1, 2))
+        errors[name], typical[name] = float(error.max()), float(np.median(by_knot))
+        worst[name], share[name] = (int(step), int(row), int(column)), float((by_knot > TOLERANCE).mean())
+    return DerivativeCheck(errors, worst, typical, share)
 
 
 def fine_reference(dynamics: Dynamics, trajectory: Trajectory, eps: float = 1e-5) -> Linearization:

@@ -25,6 +25,9 @@ ABSURD = 1e15
 COMPLEX_STEP = 1e-40
 """So small that the second-order error underflows; no difference is taken, so nothing cancels."""
 
+SECOND_STEP = 6e-6
+"""Relative step of the differences that make second derivatives of first ones."""
+
 
 @register_jitable
 def advance(f, integrator, nv, x, u, t, h, p):
@@ -122,6 +125,62 @@ def linearize_differences(f, integrator, nv, times, steps, p, X, U, A, B):
             u[j] = U[n, j]
 
 
+@register_jitable
+def hessian_complex(f, integrator, nv, times, steps, p, X, U, costates, H):
+    """Second derivatives of costate'step: centred differences of complex steps; relative error about 1e-10."""
+    nx, size = X.shape[1], X.shape[1] + U.shape[1]
+    z, h = np.empty(size, dtype=np.complex128), complex(0.0, COMPLEX_STEP)
+    for n in range(U.shape[0]):
+        z[:nx], z[nx:] = X[n], U[n]
+        for j in range(size):
+            e, here = SECOND_STEP * max(1.0, abs(z[j])), z[j]
+            for i in range(j + 1):
+                H[n, i, j] = 0.0
+            for sign in (1.0, -1.0):
+                z[j] = here + sign * e
+                for i in range(j + 1):
+                    z[i] += h
+                    forward = advance(f, integrator, nv, z[:nx].copy(), z[nx:].copy(), times[n], steps[n], p)
+                    z[i] = z[i].real
+                    for k in range(forward.shape[0]):
+                        H[n, i, j] += sign * costates[n, k] * (forward[k].imag / COMPLEX_STEP) / (2.0 * e)
+            z[j] = here
+            for i in range(j):
+                H[n, j, i] = H[n, i, j]
+
+
+@register_jitable
+def hessian_differences(f, integrator, nv, times, steps, p, X, U, costates, H):
+    """Second derivatives of costate'step by second differences with steps of eps^(1/4); error about 1e-7."""
+    nx, size = X.shape[1], X.shape[1] + U.shape[1]
+    z, e, here = np.empty(size), np.empty(size), np.empty(size)
+    for n in range(U.shape[0]):
+        here[:nx], here[nx:] = X[n], U[n]
+        for i in range(size):
+            e[i] = 1.2e-4 * max(1.0, abs(here[i]))
+        for j in range(size):
+            for i in range(j + 1):
+                total = 0.0
+                for a in (1.0, -1.0):
+                    for b in (1.0, -1.0):
+                        z[:] = here
+                        z[i] += a * e[i]
+                        z[j] += b * e[j]
+                        forward = advance(f, integrator, nv, z[:nx].copy(), z[nx:].copy(), times[n], steps[n], p)
+                        for k in range(forward.shape[0]):
+                            total += a * b * costates[n, k] * forward[k]
+                H[n, i, j] = H[n, j, i] = total / (4.0 * e[i] * e[j])
+
+
+@register_jitable
+def advance_all(f, integrator, nv, times, steps, p, X, U, F):
+    """Fill F with one step from each knot, NaN where it blows up."""
+    for n in range(U.shape[0]):
+        F[n] = advance(f, integrator, nv, X[n], U[n], times[n], steps[n], p)
+        if is_bad(F[n]):
+            F[n] = np.nan
+
+
 _vector, _matrix, _cube = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 REAL = types.FunctionType(_vector(_vector, _vector, types.float64, _vector))
 """Type of a compiled f for real arguments."""
@@ -137,10 +196,13 @@ _SIGNATURES = {
     ),
     linearize_complex: types.void(COMPLEX, *_common, _matrix, _matrix, _cube, _cube),
     linearize_differences: types.void(REAL, *_common, _matrix, _matrix, _cube, _cube),
+    hessian_complex: types.void(COMPLEX, *_common, _matrix, _matrix, _matrix, _cube),
+    hessian_differences: types.void(REAL, *_common, _matrix, _matrix, _matrix, _cube),
+    advance_all: types.void(REAL, *_common, _matrix, _matrix, _matrix),
 }  # fmt: skip
 
 
 @cache
 def compiled(kernel: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the compiled form of one of the four functions above, compiled when first asked for."""
+    """Return the compiled form of one of the functions above, compiled when first asked for."""
     return njit(_SIGNATURES[kernel], cache=True, nogil=True)(kernel)

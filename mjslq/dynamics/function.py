@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from mjslq._complex import refused_complex
 from mjslq._validation import Array, as_array, choose, count
 from mjslq.dynamics import _function_kernels as kernels
-from mjslq.dynamics._base import Dynamics, Linearization
+from mjslq.dynamics._base import Curvature, Dynamics, Linearization, curvature_of
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
 
@@ -59,6 +59,9 @@ class FunctionDynamics(Dynamics):
         "complex-step" (exact; f must be analytic: no abs, no real parts but in comparisons),
         "finite-difference" (centred), or jacobian(x, u, t) -> (A, B) of the *discrete step*, shapes (nx, nx)
         and (nx, nu).
+    hessian : callable, optional
+        hessian(x, u, t, costate) -> (H_xx (nx, nx), H_ux (nu, nx), H_uu (nu, nu)), the second derivatives of
+        costate' x_{n+1}, the *discrete step*; by differences of first derivatives unless given.
     outputs : callable, optional
         y = outputs(x, u, t), shape (ny,), recorded along rollouts; differentiated as `jacobian` says.
     parameters : array
@@ -76,6 +79,8 @@ class FunctionDynamics(Dynamics):
         When f does not return shape (nx,) at the origin, or an argument is out of place.
     """
 
+    reads_ends = False
+
     def __init__(
         self,
         f: Callable[..., Any],
@@ -85,6 +90,7 @@ class FunctionDynamics(Dynamics):
         *,
         integrator: Integrator = "rk4",
         jacobian: Literal["complex-step", "finite-difference"] | Callable[..., Any] = "complex-step",
+        hessian: Callable[..., Any] | None = None,
         outputs: Callable[..., Any] | None = None,
         parameters: ArrayLike = (),
         nv: int | None = None,
@@ -110,6 +116,9 @@ class FunctionDynamics(Dynamics):
         else:
             self._given_jacobian = None
             self.jacobian = choose("jacobian", jacobian, ("complex-step", "finite-difference"))
+        if hessian is not None and not callable(hessian):
+            raise ValueError(f"hessian must be a function of (x, u, t, costate), got {hessian!r}")
+        self._given_hessian = hessian
         if not callable(f):
             raise ValueError(f"f must be a function of (x, u), (x, u, t) or (x, u, t, p), got {f!r}")
         self.compiled = isinstance(f, Dispatcher)
@@ -165,6 +174,39 @@ class FunctionDynamics(Dynamics):
             with np.errstate(all="ignore"), refused_complex("f", 'jacobian="finite-difference"'):
                 differentiate(*self._arguments(N), X, U, A, B)
         return Linearization(A, B, *self._linearize_outputs(X, U))
+
+    def advance(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
+        """One step from each knot; see `Dynamics.advance`."""
+        states, controls = np.array(X, dtype=np.float64), self.checked_controls(U)
+        F = np.empty((len(controls), self.nx))
+        with np.errstate(all="ignore"):
+            self._kernel(kernels.advance_all)(*self._arguments(len(controls)), states, controls, F)
+        return F, np.array(self._trajectory(states, controls, -1).Y)
+
+    def hessian(
+        self,
+        trajectory: Trajectory,
+        costates: Array,
+        weights: Array | None = None,
+        linearization: Linearization | None = None,
+        ends: Array | None = None,
+    ) -> Curvature:
+        """Second derivatives of steps and outputs, contracted; see `Dynamics.hessian`."""
+        N, size = trajectory.horizon, self.nx + self.nu
+        if self._given_hessian is None and self._given_jacobian is not None:
+            return super().hessian(trajectory, costates, weights, linearization, ends)
+        X, U, H = np.array(trajectory.X), np.array(trajectory.U), np.zeros((N + 1, size, size))
+        if self._given_hessian is not None:
+            for n, t in enumerate(self._grid(N)[0]):
+                H[n] = self._checked_hessian(self._given_hessian(X[n], U[n], t, costates[n + 1]))
+        else:
+            by_complex = self.jacobian == "complex-step"
+            differentiate = self._kernel(kernels.hessian_complex if by_complex else kernels.hessian_differences)
+            with np.errstate(all="ignore"), refused_complex("f", 'jacobian="finite-difference"'):
+                differentiate(*self._arguments(N), X, U, np.array(costates[1:]), H)
+        if weights is not None and self.ny:
+            H += self._output_hessians(X, U, weights)
+        return curvature_of(H, self.nx)
 
     def scene(self) -> Scene | None:
         """What was given as `scene`."""
@@ -229,6 +271,27 @@ class FunctionDynamics(Dynamics):
                     differentiate(*one, X[n : n + 1], held[n : n + 1], C[n : n + 1], D[n : n + 1])
             D[N] = 0.0
         return C, D
+
+    def _output_hessians(self, X: Array, U: Array, weights: Array) -> Array:
+        """Second derivatives of w_n'y_n at every knot. Shape (N + 1, nx + nu, nx + nu)."""
+        times = np.append(self._grid(len(U))[0], self.steps(len(U)).sum())
+        held, one, function = np.vstack([U, np.zeros(self.nu)]), np.ones(len(X)), _Reading(self._read)
+        H = np.zeros((len(X), self.nx + self.nu, self.nx + self.nu))
+        by_differences = self.jacobian == "finite-difference"
+        differentiate = kernels.hessian_differences if by_differences else kernels.hessian_complex
+        with np.errstate(all="ignore"), refused_complex("outputs", 'jacobian="finite-difference"'):
+            differentiate(function, kernels.MAP, 0, times, one, self.parameters, X, held, weights, H)
+        return H
+
+    def _checked_hessian(self, parts: Any) -> Array:
+        """H by (x, u) from its three blocks."""
+        nx, nu = self.nx, self.nu
+        wanted = [(nx, nx), (nu, nx), (nu, nu)]
+        if [np.shape(part) for part in parts] != wanted:
+            given = ", ".join(str(np.shape(part)) for part in parts)
+            raise ValueError(f"hessian must return H_xx, H_ux and H_uu of shapes {wanted}, got {given}")
+        xx, ux, uu = (np.asarray(part, dtype=np.float64) for part in parts)
+        return np.block([[xx, ux.T], [ux, uu]])
 
     def _checked_jacobian(self, A: Any, B: Any) -> tuple[Any, Any]:
         given = f"{np.shape(A)} and {np.shape(B)}"

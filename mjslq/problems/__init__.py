@@ -22,6 +22,7 @@ _CATALOGUE = {
     "solo12_stand": "the quadruped Solo12 rises from a crouch and stands",
     "g1_reach": "the humanoid G1 reaches for a point, standing on both feet",
     "hopper": "a gas-actuated hopping machine that reaches a height (Sideris and Bobrow 2005, section 4.2)",
+    "van_der_pol": "a Van der Pol oscillator brought to rest (Fukushima and Yamamoto 1986, section IV)",
     "panda_reach": "a seven-joint arm that reaches for a point, on MuJoCo or Pinocchio",
 }
 

@@ -11,6 +11,7 @@ from mjslq._validation import Array
 from mjslq.costs import Expansion
 from mjslq.dynamics._base import Linearization
 from mjslq.lq.adjoint import adjoint
+from mjslq.lq.riccati import LQProblem
 from mjslq.problem import Problem
 from mjslq.trajectory import Trajectory
 
@@ -26,6 +27,12 @@ class Direction(NamedTuple):
     """Feedback gains. Shape (N, nu, ndx)."""
     multiplier: float = 0.0
     """Multiplier that the direction was found with."""
+    predicted: float = 0.0
+    """Change of the cost that the model promises; trust region only."""
+    radius: float = 0.0
+    """Of the ball that the direction was found in; 0 for none."""
+    limited: bool = False
+    """Whether the direction is short because a multiplier keeps it so, which is no sign of convergence."""
 
 
 class Iterate:
@@ -47,17 +54,46 @@ class Iterate:
         return self.problem.expand(self.trajectory, self.linearization)
 
     @cached_property
+    def _adjoint(self) -> tuple[Array, Array]:
+        A, B = self.linearization.A, self.linearization.B
+        return adjoint(A, B, self.expansion.q, self.expansion.r)
+
+    @property
+    def costates(self) -> Array:
+        """dJ/dx_n, the controls held. Shape (N + 1, ndx)."""
+        return self._adjoint[0]
+
+    @property
     def gradient(self) -> Array:
         """dJ/dU. Shape (N, nu)."""
-        A, B = self.linearization.A, self.linearization.B
-        return adjoint(A, B, self.expansion.q, self.expansion.r)[1]
+        return self._adjoint[1]
+
+    @cached_property
+    def gauss_newton(self) -> LQProblem:
+        """The cost to second order, but for the curvature of dynamics and residuals: convex."""
+        A, B, _, _ = self.linearization
+        Q, R, M, q, r = self.expansion
+        return LQProblem(A, B, Q, R, M, q, r, np.zeros((len(A), A.shape[1])))
+
+    @cached_property
+    def newton(self) -> LQProblem:
+        """The cost to second order: with the Hessians of the Hamiltonian; need not be convex."""
+        return self.hamiltonian(self.costates)
+
+    def hamiltonian(self, costates: Array) -> LQProblem:
+        """The LQ problem with the Hessians of l + lambda'f for given costates lambda. Shape (N + 1, ndx)."""
+        dynamics, (A, B, _, _) = self.problem.dynamics, self.linearization
+        (Q, R, M, q, r), weights = self.problem.complete(self.trajectory, self.expansion)
+        xx, ux, uu = dynamics.hessian(self.trajectory, costates, weights, self.linearization)
+        return LQProblem(A, B, Q + xx, R + uu, M + ux, q, r, np.zeros((len(A), A.shape[1])))
 
     @cached_property
     def gradient_norm(self) -> float:
         """Euclidean norm of dJ/dU; infinite for a trajectory that diverged or has no finite derivatives."""
         if not np.isfinite(self.cost):
             return np.inf
-        norm = float(np.linalg.norm(self.gradient))
+        with np.errstate(over="ignore", invalid="ignore"):
+            norm = float(np.linalg.norm(self.gradient))
         return norm if np.isfinite(norm) else np.inf
 
     def slope(self, direction: Direction) -> float:

@@ -3,7 +3,8 @@
 A method hands in two functions and keeps no loop of its own:
 
     direction(iterate)             -> Direction
-    step(iterate, direction)       -> (alpha, next iterate, rollouts spent) or None when no step will do
+    step(iterate, direction)       -> (alpha, next iterate) or None when no step will do, and the rollouts spent;
+                                      alpha = 0 stays at the iterate, with another direction to come
 
 The loop ends when (Sideris and Bobrow 2005, Algorithm 2, Step 2)
 
@@ -36,6 +37,8 @@ class Accepted(NamedTuple):
 
     alpha: float
     iterate: Iterate
+    ratio: float = 0.0
+    """Change of the cost relative to what the model promised; trust region only."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +156,7 @@ def _descend(
             return
         outcome.gains = ahead.K
         length, slope = float(np.linalg.norm(ahead.U)), here.slope(ahead)
-        small = length <= stopping.tol_direction * np.linalg.norm(here.trajectory.U)
+        small = not ahead.limited and length <= stopping.tol_direction * np.linalg.norm(here.trajectory.U)
         accepted, evaluations = None, 0
         if small or here.gradient_norm <= stopping.tol_gradient:
             outcome.status = Status.CONVERGED
@@ -163,8 +166,9 @@ def _descend(
             accepted, evaluations = step(here, ahead)
             outcome.status = Status.STEP_TOO_SMALL
         entry = IterationLog(
-            iteration, here.cost, here.gradient_norm, length, slope,
+            len(monitor.log), here.cost, here.gradient_norm, length, slope,
             0.0 if accepted is None else accepted.alpha, evaluations, monitor.seconds, ahead.multiplier,
+            ahead.radius, ahead.predicted, 0.0 if accepted is None else accepted.ratio,
         )  # fmt: skip
         if accepted is not None:
             outcome.iterate = accepted.iterate  # before anyone is told: telling may be interrupted
