@@ -181,6 +181,9 @@ def compare(
         typer.Option("--set", "-s", metavar="NAME=VALUE", help="Set a parameter of the problem, or a tolerance."),
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw the costs into this .png, .svg or .pdf file.")] = None,
+    view: Annotated[bool, typer.Option("--view", help="Show the best result and the comparison in a browser.")] = False,
+    host: Host = "127.0.0.1",
+    port: Port = 8080,
 ) -> None:
     """Solve a problem by every method from the same start: one table, one plot."""
     _announce(quiet=False)
@@ -209,6 +212,11 @@ def compare(
     Console(width=max(110, Console().width)).print(table)
     if plot is not None:
         comparing.plot(entries, plot, problem)
+    if view:
+        from mjslq.viewer import view as show
+
+        best, *others = sorted((entry.result for entry in entries), key=lambda result: result.cost)
+        show(best, host, port, beside=others)
 
 
 @app.command()

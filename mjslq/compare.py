@@ -49,7 +49,7 @@ def compare(problem: Problem, methods: Sequence[str] = (), **options: Any) -> It
     """
     for method in [choose("method", method, METHODS) for method in methods or METHODS]:
         solve(problem, method, **(options | {"max_iterations": 1}))  # so that no method pays for another's compiling
-        yield Entry(method, solve(problem, method, keep_iterates=False, **options))
+        yield Entry(method, solve(problem, method, **options))
 
 
 def plot(entries: Sequence[Entry], path: str | os.PathLike[str], title: str = "") -> None:

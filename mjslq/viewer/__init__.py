@@ -6,6 +6,7 @@ Viser and MuJoCo are imported when something is shown, not before.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from mjslq.result import Result
@@ -16,7 +17,9 @@ if TYPE_CHECKING:
 __all__ = ["Player", "export_html", "view"]
 
 
-def view(result: Result, host: str = "127.0.0.1", port: int = 8080, block: bool = True) -> Player:
+def view(
+    result: Result, host: str = "127.0.0.1", port: int = 8080, block: bool = True, beside: Sequence[Result] = ()
+) -> Player:
     """Show `result` in a browser: the motion, its plots, and the iterations that led to it.
 
     Parameters
@@ -27,11 +30,13 @@ def view(result: Result, host: str = "127.0.0.1", port: int = 8080, block: bool 
         Where to serve; a port that is taken gives way to the next free one, and the one in use is printed.
     block
         Stay until Ctrl-C. Otherwise return at once; the caller stops the `Player` returned.
+    beside
+        Results of other methods on the same problem: their costs are plotted with this one's.
 
     """
     from mjslq.viewer.player import Player
 
-    player = Player(result, host, port)
+    player = Player(result, host, port, beside=beside)
     player.start()
     try:
         print(f"viewer at {player.url}" + (" (Ctrl-C ends it)" if block else ""), flush=True)

@@ -173,6 +173,23 @@ class CostPlot:
         self._plot.data = with_mark(*self._curves, iteration, self._range)
 
 
+def add_plot(
+    gui: viser.GuiApi,
+    x: Array,
+    values: Array,
+    labels: tuple[str, ...],
+    y_range: tuple[float, float],
+    x_label: str,
+    y_label: str,
+    *,
+    whole: bool = False,
+) -> None:
+    """Add a plot of columns `values` (n, k) over `x` (n,) that stays as it is; its mark lies on the lower limit."""
+    data = (x, *values.T, np.full(len(x), y_range[0]))
+    x_range = (float(x[0]), max(float(x[-1]), float(x[0]) + 1e-9))
+    _uplot(gui, data, labels, x_range, y_range, x_label=x_label, y_label=y_label, whole=whole)
+
+
 def with_mark(x: Array, values: Array, at: float, limits: tuple[float, float]) -> tuple[Array, ...]:
     """Return x, every column of `values`, and a last curve that runs along the lower limit and rises at `at`.
 

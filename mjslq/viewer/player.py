@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time as clock
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -34,11 +35,23 @@ class Player:
     half of one state and half of another.
     """
 
-    def __init__(self, result: Result, host: str = "127.0.0.1", port: int = 8080, *, autoplay: bool = True) -> None:
-        """Prepare to show `result` at `host`:`port`, or at the next free port; `start` opens it."""
+    def __init__(
+        self,
+        result: Result,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        *,
+        autoplay: bool = True,
+        beside: Sequence[Result] = (),
+    ) -> None:
+        """Prepare to show `result` at `host`:`port`, or at the next free port; `start` opens it.
+
+        Results `beside` it, of other methods on the same problem, are compared with it by their costs.
+        """
         if not isinstance(result, Result):
             raise ValueError(f"a viewer shows a Result of mjslq.solve or mjslq.load, got {type(result).__name__}")
         self._result = result
+        self._beside = tuple(beside)
         self._host = host
         self._wanted_port = count("port", port)
         self._playback = Playback(float(result.trajectory.times[-1]), playing=autoplay)
@@ -240,6 +253,11 @@ class Player:
                 self._cost_plot = panels.CostPlot(gui, result)
         else:
             self._controls.optimization.visible = len(result.iterates) > 1
+        if self._beside:
+            from mjslq.viewer.comparison import add_comparison
+
+            with gui.add_folder("Comparison"):
+                add_comparison(gui, (result, *self._beside))
         self._add_plots(gui)
         if self._iterate is not None:
             self._note_iterate(self._iterate)
