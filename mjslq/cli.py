@@ -224,6 +224,9 @@ def reproduce(
     papers: Annotated[
         list[str] | None, typer.Argument(help="Methods whose paper to reproduce; all unless given.")
     ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw Fig. 2 of the SLQ paper into this .png, .svg or .pdf.")
+    ] = None,
 ) -> None:
     """Put the papers' numbers beside what comes out here, row by row."""
     _announce(quiet=False)
@@ -232,13 +235,19 @@ def reproduce(
 
     from mjslq import reproduce
     from mjslq._validation import choose
+    from mjslq.compare import FORMATS
 
+    if plot is not None:
+        choose("ending of a picture", plot.suffix, FORMATS)
     for paper in [choose("paper", paper, reproduce.PAPERS) for paper in papers or reproduce.PAPERS]:
         table = Table("", "paper", "here", "verdict", box=None, pad_edge=False, header_style="bold", title=paper)
         for row in reproduce.PAPERS[paper]():
             print(f"{row.what}: {row.verdict}", file=sys.stderr, flush=True)
             table.add_row(row.what, row.paper, row.ours, row.verdict)
         Console(width=max(170, Console().width)).print(table)
+        if plot is not None and paper in reproduce.FIGURES:
+            reproduce.FIGURES[paper](plot)
+            print(f"figure: {plot}", file=sys.stderr)
 
 
 @app.command()

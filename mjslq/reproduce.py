@@ -7,11 +7,13 @@ stand in the row.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from mjslq import problems
 from mjslq._solve import solve
+from mjslq.compare import compare, plot
 from mjslq.result import Result
 
 
@@ -86,6 +88,16 @@ def trust_region() -> Iterator[Row]:
 
 PAPERS: dict[str, Callable[[], Iterator[Row]]] = {"slq": slq, "trust-region": trust_region}
 """Papers by the name of their method."""
+
+
+def figure_2(path: str | os.PathLike[str]) -> None:
+    """Draw Fig. 2 of Sideris and Bobrow 2005: relative costs of SLQ, Newton and steepest descent at beta = 0.1."""
+    entries = list(compare(problems.get("drag_particle", beta=0.1), ("slq", "newton", "gradient")))
+    plot(entries, path, "Sideris and Bobrow 2005, Fig. 2: drag particle, beta = 0.1")
+
+
+FIGURES: dict[str, Callable[[str | os.PathLike[str]], None]] = {"slq": figure_2}
+"""Figures that can be drawn again, by paper."""
 
 
 def _iterations(what: str, result: Result, reported: int | None, remark: str) -> Row:

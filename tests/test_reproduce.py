@@ -51,6 +51,12 @@ def test_table_i_of_the_trust_region_paper():
     assert "J 4.392865" in end.ours and end.verdict.startswith("converged")
 
 
+def test_figure_2_shows_the_three_methods(tmp_path):
+    reproduce.figure_2(tmp_path / "figure.svg")
+    text = (tmp_path / "figure.svg").read_text()
+    assert all(method in text for method in ("slq", "newton", "gradient"))
+
+
 def test_unknown_papers_are_named():
     command = [sys.executable, "-m", "mjslq.cli", "reproduce", "slk"]
     outcome = subprocess.run(command, capture_output=True, text=True, timeout=60)
