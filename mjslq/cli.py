@@ -18,8 +18,6 @@ import typer
 
 if TYPE_CHECKING:
     from mjslq.dynamics._base import Dynamics
-    from mjslq.problem import Problem
-    from mjslq.result import Result
 
 app = typer.Typer(
     help="Trajectory optimization for MuJoCo models.",
@@ -86,6 +84,7 @@ def solve(
         raise ValueError(f"cannot write {save}: there is no folder {save.parent}")
     _announce(quiet)
     from mjslq import problems
+    from mjslq._report import as_dict, print_summary
     from mjslq._solve import METHODS, option_names
     from mjslq._solve import solve as run
     from mjslq._validation import choose
@@ -96,9 +95,9 @@ def solve(
     stated = problems.get(problem, **parameters)
     result = run(stated, method, verbose=0 if quiet else 1, stream=sys.stderr, **options)
     if as_json:
-        print(json.dumps(_as_json(result)))
+        print(json.dumps(as_dict(result)))
     elif not quiet:
-        _print_summary(result, stated)
+        print_summary(result, stated)
     if save is not None:
         result.save(save)
         if not quiet:
@@ -332,45 +331,6 @@ def _value(text: str) -> Any:
         return ast.literal_eval(text)
     except (ValueError, SyntaxError):
         return text
-
-
-def _print_summary(result: Result, problem: Problem) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, show_header=False, pad_edge=False)
-    table.add_column(style="dim")
-    table.add_column()
-    color = "green" if result.success else "yellow"
-    table.add_row(result.problem, Text(result.status.value, style=f"bold {color}"))
-    if not result.success:
-        table.add_row("", result.message)
-    table.add_row("cost", f"{result.cost:.10g}")
-    table.add_row("iterations", f"{result.iterations} in {result.seconds:.2f} s")
-    table.add_row("|gradient|", f"{result.gradient_norm:.2e}")
-    if problem.describe is not None and not result.trajectory.diverged:
-        for name, text in problem.describe(result.trajectory).items():
-            table.add_row(name, text)
-    Console(highlight=False).print(table)
-
-
-def _as_json(result: Result) -> dict[str, Any]:
-    """The numbers of a result; arrays belong into the saved file."""
-    names = (
-        "problem",
-        "method",
-        "success",
-        "message",
-        "cost",
-        "iterations",
-        "gradient_norm",
-        "constraint_violation",
-        "seconds",
-        "options",
-    )
-    final = result.trajectory.X[-1].tolist()
-    return {"status": result.status.value} | {name: getattr(result, name) for name in names} | {"final_state": final}
 
 
 def _dynamics_of(what: str) -> tuple[Dynamics, Any]:
