@@ -14,6 +14,11 @@ import mjslq
 COMMAND = [sys.executable, "-m", "mjslq.cli"]
 
 
+def hear_ctrl_c():
+    """In a new process: undo that a shell's background jobs ignore interrupts, and their children with them."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def run(*arguments, cwd=None):
     return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=120, cwd=cwd)
 
@@ -136,8 +141,9 @@ def test_interrupt_keeps_the_best_iterate(tmp_path):
     # Steepest descent goes on for ever here, so that there is a middle to interrupt on any machine.
     arguments = ["solve", "hopper", "-m", "gradient", "-s", "tol=0", "-s", "max_iterations=1000000"]
     process = subprocess.Popen(
-        [*COMMAND, *arguments, "--save", str(file)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+        [*COMMAND, *arguments, "--save", str(file)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=hear_ctrl_c,
+    )  # fmt: skip
     for line in process.stderr:  # it is iterating once the third iterate is on the screen
         if line.split()[:1] == ["3"]:
             break
@@ -156,6 +162,7 @@ def test_view_prints_its_address_and_ends_with_ctrl_c(tmp_path):
     process = subprocess.Popen(
         [*COMMAND, "view", str(tmp_path / "hop.npz"), "--port", "8123"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        preexec_fn=hear_ctrl_c,
     )  # fmt: skip
     line = process.stdout.readline()
     assert "http://127.0.0.1:" in line or "http://localhost:" in line, (line, process.stderr.read())

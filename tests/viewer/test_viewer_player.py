@@ -155,6 +155,7 @@ def test_ctrl_c_ends_view_without_a_traceback(function: Result, tmp_path: Path) 
         [sys.executable, "-c", f"{code}; print('over')", str(tmp_path / "result.npz")],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs of a shell ignore it
     )  # fmt: skip
     assert process.stdout is not None
     assert process.stdout.readline().startswith("viewer at http://127.0.0.1:")
