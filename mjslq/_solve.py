@@ -127,7 +127,9 @@ def solve(
     for name in settings:
         choose(f"option for method {method!r}", name, option_names(method))
     monitor = Monitor(verbose, callback, keep_iterates, sys.stdout if stream is None else stream)
-    controls = problem.checked_controls(problem.U0 if U0 is None else U0)  # type: ignore[arg-type]
+    guess = problem.U0 if U0 is None else U0
+    assert guess is not None  # a problem fills in its own start when it is made
+    controls = problem.checked_controls(guess)
     states = None if X0 is None else _state_guess(problem, method, X0)
     start = Iterate(problem, problem.rollout(controls))
     if check_derivatives:
