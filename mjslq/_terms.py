@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mjslq._complex import complex_step, refused_complex
+from mjslq._quadratic import add_congruence, transposed_times, weighted
 from mjslq._rotation import conjugate, inverse_right_jacobian, log, product
 from mjslq._validation import Array
 from mjslq.dynamics._base import Dynamics, Linearization
@@ -52,9 +53,12 @@ class BoundTerm(ABC):
     def cost(self, trajectory: Trajectory) -> float:
         """Sum of the term over the knots."""
 
+    def prepare(self, into: Expansion) -> None:  # noqa: B027  (often nothing)
+        """Add what is the same along every trajectory."""
+
     @abstractmethod
     def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
-        """Add gradient and (Gauss-Newton) Hessian to `into`."""
+        """Add the rest of gradient and (Gauss-Newton) Hessian to `into`."""
 
     def complete(self, trajectory: Trajectory, into: Expansion, weights: Array) -> None:  # noqa: B027  (often nothing)
         """Add what `expand` leaves out of the Hessian: here to `into`, or for outputs dJ/dy to `weights` (N + 1, ny).
@@ -64,51 +68,58 @@ class BoundTerm(ABC):
 
 
 class StateTerm(BoundTerm):
-    """1/2 d'W_n d with d = difference(target_n, x_n)."""
+    """s_n/2 d'W_n d with d = difference(target_n, x_n)."""
 
-    def __init__(self, dynamics: Dynamics, W: Array, target: Array) -> None:
-        self._dynamics, self._W, self._target = dynamics, W, target
-        # Terms that act on few knots (terminal ones, above all) touch only those.
-        active = np.flatnonzero(W.any(axis=(1, 2)))
-        self._knots = slice(active[0], active[-1] + 1) if active.size else slice(0, 0)
+    def __init__(self, dynamics: Dynamics, scales: Array, W: Array, target: Array) -> None:
+        self._dynamics = dynamics
+        # terms that act on few knots (terminal ones, above all) touch only those
+        active = np.flatnonzero(scales) if W.any() else np.zeros(0, np.int64)
+        self._knots = knots = slice(active[0], active[-1] + 1) if active.size else slice(0, 0)
+        self._scales, self._target, self._W = scales[knots], target[knots], W if len(W) == 1 else W[knots]
+        self._flat = dynamics.difference_jacobian(target[:1], target[:1]) is None
 
     def cost(self, trajectory: Trajectory) -> float:
-        d, Wd = self._weighted(trajectory)
-        return 0.5 * float(np.vdot(d, Wd))
+        d = self._difference(trajectory)
+        return 0.5 * float(np.vdot(d, weighted(self._scales, self._W, d)))
+
+    def prepare(self, into: Expansion) -> None:
+        if self._flat:
+            into.Q[self._knots] += self._scales[:, None, None] * self._W
 
     def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
-        _, Wd = self._weighted(trajectory)
-        knots, W = self._knots, self._W[self._knots]
-        J = self._dynamics.difference_jacobian(self._target[knots], trajectory.X[knots])
-        if J is not None:
-            W, Wd = _congruence(J, W), _transposed_times(J, Wd)
-        into.Q[knots] += W
-        into.q[knots] += Wd
+        gradient = weighted(self._scales, self._W, self._difference(trajectory))
+        if not self._flat:
+            J = self._dynamics.difference_jacobian(self._target, trajectory.X[self._knots])
+            assert J is not None
+            add_congruence(J, self._scales, self._W, J, into.Q[self._knots])
+            gradient = transposed_times(J, gradient)
+        into.q[self._knots] += gradient
 
-    def _weighted(self, trajectory: Trajectory) -> tuple[Array, Array]:
-        d = self._dynamics.difference(self._target[self._knots], trajectory.X[self._knots])
-        return d, _times(self._W[self._knots], d)
+    def _difference(self, trajectory: Trajectory) -> Array:
+        return self._dynamics.difference(self._target, trajectory.X[self._knots])
 
 
 class ControlTerm(BoundTerm):
-    """1/2 d'W_n d with d = u_n - target_n."""
+    """s_n/2 d'W_n d with d = u_n - target_n."""
 
-    def __init__(self, W: Array, target: Array) -> None:
-        self._W, self._target = W, target
+    def __init__(self, scales: Array, W: Array, target: Array) -> None:
+        self._scales, self._W, self._target = scales, W, target
 
     def cost(self, trajectory: Trajectory) -> float:
         d = trajectory.U - self._target
-        return 0.5 * float(np.vdot(d, _times(self._W, d)))
+        return 0.5 * float(np.vdot(d, weighted(self._scales, self._W, d)))
+
+    def prepare(self, into: Expansion) -> None:
+        into.R[:] += self._scales[:, None, None] * self._W
 
     def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
-        into.R[:] += self._W
-        into.r[:] += _times(self._W, trajectory.U - self._target)
+        into.r[:] += weighted(self._scales, self._W, trajectory.U - self._target)
 
 
 class SensorTerm(BoundTerm):
     """s_n/2 d'W d with d the difference of a reading y_n[columns] from its target."""
 
-    def __init__(self, columns: slice, quaternion: bool, target: Array, W: Array, scales: Array) -> None:
+    def __init__(self, columns: slice, quaternion: bool, scales: Array, W: Array, target: Array) -> None:
         self._columns, self._quaternion = columns, quaternion
         active = np.flatnonzero(scales)
         self._knots = slice(active[0], active[-1] + 1)
@@ -116,29 +127,29 @@ class SensorTerm(BoundTerm):
 
     def cost(self, trajectory: Trajectory) -> float:
         d = self._difference(trajectory)
-        return 0.5 * float(self._scales @ (d * (d @ self._W)).sum(axis=1))
+        return 0.5 * float(np.vdot(d, weighted(self._scales, self._W, d)))
 
     def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
         d, knots = self._difference(trajectory), self._knots
-        C, D = linearization.C[knots, self._columns], linearization.D[knots, self._columns]
+        C, D = (np.ascontiguousarray(part[knots, self._columns]) for part in linearization[2:])
         if self._quaternion:
             J = self._rotation_jacobian(trajectory.Y[knots, self._columns], d)
             C, D = J @ C, J @ D
-        WC, Wd = self._scales[:, None, None] * (self._W @ C), self._scales[:, None] * (d @ self._W)
-        into.Q[knots] += C.swapaxes(1, 2) @ WC
-        into.q[knots] += _transposed_times(C, Wd)
+        gradient = weighted(self._scales, self._W, d)
+        add_congruence(C, self._scales, self._W, C, into.Q[knots])
+        into.q[knots] += transposed_times(C, gradient)
         N = len(into.r)
         steps, running = slice(knots.start, min(knots.stop, N)), slice(0, min(knots.stop, N) - knots.start)
         D = D[running]
         if D.any():
-            DW = D.swapaxes(1, 2) @ (self._scales[running, None, None] * self._W)
-            into.R[steps] += DW @ D
-            into.M[steps] += DW @ C[running]
-            into.r[steps] += _transposed_times(D, Wd[running])
+            add_congruence(D, self._scales[running], self._W, D, into.R[steps])
+            add_congruence(D, self._scales[running], self._W, C[running], into.M[steps])
+            into.r[steps] += transposed_times(D, gradient[running])
 
     def complete(self, trajectory: Trajectory, into: Expansion, weights: Array) -> None:
         if not self._quaternion:
-            weights[self._knots, self._columns] += self._scales[:, None] * (self._difference(trajectory) @ self._W)
+            gradient = weighted(self._scales, self._W, self._difference(trajectory))
+            weights[self._knots, self._columns] += gradient
 
     def _difference(self, trajectory: Trajectory) -> Array:
         y = trajectory.Y[self._knots, self._columns]
@@ -289,15 +300,3 @@ def _positive_part(H: Array) -> Array:
     """The nearest positive semidefinite matrix to a symmetric one."""
     values, vectors = np.linalg.eigh(H)
     return H if values[0] >= 0.0 else (vectors * np.maximum(values, 0.0)) @ vectors.T
-
-
-def _times(W: Array, d: Array) -> Array:
-    return (W @ d[..., None])[..., 0]
-
-
-def _transposed_times(J: Array, d: Array) -> Array:
-    return (J.swapaxes(-1, -2) @ d[..., None])[..., 0]
-
-
-def _congruence(J: Array, W: Array) -> Array:
-    return J.swapaxes(-1, -2) @ W @ J

@@ -1,23 +1,32 @@
 """`mjslq bench`: what an iteration costs on this machine, phase by phase, beside the engine's own calls.
 
 For each problem: milliseconds of a rollout, of a linearization (each way there is), of a sweep, and of a whole SLQ
-iteration, as it is measured in a solve. Beside them "bare": the `mjd_transitionFD` (one-sided) and `mj_step` calls
-that an iterative LQR over the same horizon needs at least, called knot by knot. Times are the least of several
-repeats, and only ratios within one run mean anything across machines.
+iteration: what each of the first ones adds to the time of a solve. Beside them "bare": the `mjd_transitionFD`
+(one-sided) and `mj_step` calls that an iterative LQR over the same horizon needs at least, and `mj_inverse`, called
+knot by knot. Times are the least of several repeats, on one thread, and only ratios within one run mean anything
+across machines. Errors of Jacobians are those of A against a fine reference (five-point differences), relative to its
+largest entry: medians over knots.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from mjslq import problems
 from mjslq._solve import solve
+from mjslq._validation import Array
+from mjslq.costs import Control, State
+from mjslq.dynamics._base import Dynamics, fine_reference
 from mjslq.dynamics.mujoco import MujocoDynamics
+from mjslq.dynamics.mujoco.engine import usable_cores
 from mjslq.lq.riccati import LQProblem
 from mjslq.lq.riccati import solve as sweep
 from mjslq.problem import Problem
@@ -28,6 +37,11 @@ BUDGET = 0.6
 """Time spent on repeating one measurement, at most. [s]"""
 ITERATIONS = 10
 """Iterations of the solve that is timed."""
+KNOTS = 10
+"""Knots at which Jacobians are held against the fine reference."""
+
+_KILOBYTES = 1e6 if sys.platform == "darwin" else 1e3
+"""Units of ru_maxrss in a megabyte."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +60,21 @@ class Row:
     iteration: float
     rollouts_per_iteration: float
     bare: dict[str, float] = field(default_factory=dict)
-    """mjd_transitionFD and mj_step over the horizon; empty for other engines."""
+    """mjd_transitionFD, mj_step and mj_inverse over the horizon; empty for other engines."""
+    errors: dict[str, float] = field(default_factory=dict)
+    """Of the Jacobians, by way of differentiation."""
 
     @property
     def ratio_to_bare(self) -> float | None:
-        """A whole iteration over the bare calls of today's iLQR."""
-        return self.iteration / sum(self.bare.values()) if self.bare else None
+        """A whole iteration over the bare calls of today's iLQR: differences of the step, and one rollout."""
+        return self.iteration / (self.bare["mjd_transitionFD"] + self.bare["mj_step"]) if self.bare else None
+
+    @property
+    def ratio_to_calls(self) -> float | None:
+        """A whole iteration over as many rollouts as it makes by `mj_step`, and one pass of `mj_inverse`."""
+        if not self.bare:
+            return None
+        return self.iteration / (self.rollouts_per_iteration * self.bare["mj_step"] + self.bare["mj_inverse"])
 
     @property
     def ratio_of_jacobians(self) -> float | None:
@@ -60,7 +83,8 @@ class Row:
 
     def as_dict(self) -> dict[str, Any]:
         """Everything, the ratios included."""
-        return asdict(self) | {"ratio_to_bare": self.ratio_to_bare, "ratio_of_jacobians": self.ratio_of_jacobians}
+        names = ("ratio_to_bare", "ratio_to_calls", "ratio_of_jacobians")
+        return asdict(self) | {name: getattr(self, name) for name in names}
 
 
 CASES: dict[str, Callable[[], Problem]] = {
@@ -75,26 +99,66 @@ CASES: dict[str, Callable[[], Problem]] = {
 
 def run(case: str) -> Row:
     """Measure one of `CASES`."""
-    return measure(case, CASES[case]())
+    return measure(case, _on_one_thread(CASES[case]()))
 
 
 def growth(name: str = "panda_reach", horizons: tuple[int, ...] = (100, 200, 500, 1000)) -> dict[int, float]:
     """Milliseconds of rollout, linearization and sweep together, by horizon."""
-    found = {}
-    for N in horizons:
-        row = measure(name, problems.get(name, horizon=N, duration=0.01 * N), iterate=False)
-        found[N] = row.rollout + min(row.linearize.values()) + row.sweep
+    return {N: _phases(problems.get(name, horizon=N, duration=0.01 * N)) for N in horizons}
+
+
+def growth_with_states(links: tuple[int, ...] = (2, 4, 8, 16, 32)) -> dict[int, float]:
+    """Milliseconds of rollout, linearization and sweep together, by the number of states of a chain of links."""
+    return {2 * count: _phases(_chain(count)) for count in links}
+
+
+def growth_of_memory(name: str = "panda_reach", iterations: int = 1000) -> dict[int, float]:
+    """Peak resident size in MB after some iterations and after many; empty where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return {}
+    problem, found, done = problems.get(name), {}, 0
+    for goal in (iterations // 10, iterations):
+        while done < goal:
+            result = solve(problem, tol=0.0, max_iterations=20, keep_iterates=False)
+            done += max(result.iterations, 1)
+        found[goal] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _KILOBYTES
     return found
 
 
-def measure(case: str, problem: Problem, *, iterate: bool = True) -> Row:
+def speedup(name: str = "g1_reach") -> dict[int, float]:
+    """How much faster a linearization gets by threads: 1, 2, 4, ... of the cores that may be used."""
+    problem = problems.get(name)
+    trajectory, model = problem.rollout(_start(problem)), _model(problem.dynamics)
+    cores, counts = usable_cores(), [1]
+    while 2 * counts[-1] <= cores:
+        counts.append(2 * counts[-1])
+    times = {}
+    for threads in counts:
+        dynamics = MujocoDynamics.from_model(model, threads=threads)
+        times[threads] = milliseconds(partial(dynamics.linearize, trajectory))
+    return {threads: times[1] / time for threads, time in times.items()}
+
+
+GROWTH: dict[str, Callable[[], dict[int, float]]] = {
+    "milliseconds by the horizon": growth,
+    "milliseconds by the number of states": growth_with_states,
+    "peak resident megabytes by iterations": growth_of_memory,
+    "speed-up by threads": speedup,
+}
+"""What is measured besides the cases: name -> measurement, a table of numbers by a number."""
+
+
+def measure(case: str, problem: Problem) -> Row:
     """Measure `problem` along the trajectory that some iterations lead to."""
-    result = solve(problem, max_iterations=ITERATIONS if iterate else 2, keep_iterates=False)
+    result = solve(problem, max_iterations=ITERATIONS, keep_iterates=False)
     trajectory, dynamics = result.trajectory, problem.dynamics
-    U = np.array(trajectory.U)
+    U, ways = np.array(trajectory.U), _linearizations(dynamics, trajectory)
     lq = _lq_problem(problem, trajectory)
     spent = [entry for entry in result.log if entry.alpha > 0.0]
-    seconds = min(_once(problem) for _ in range(3)) if iterate else float("nan")
+    start = milliseconds(lambda: solve(problem, max_iterations=0, keep_iterates=False))
+    whole = milliseconds(lambda: solve(problem, max_iterations=ITERATIONS, keep_iterates=False))
     return Row(
         case=case,
         engine=type(dynamics).__name__.removesuffix("Dynamics").lower(),
@@ -102,11 +166,39 @@ def measure(case: str, problem: Problem, *, iterate: bool = True) -> Row:
         nx=dynamics.nx,
         nu=dynamics.nu,
         rollout=milliseconds(lambda: dynamics.rollout(problem.x0, U)),
-        linearize={mode: milliseconds(call) for mode, call in _linearizations(dynamics, trajectory).items()},
+        linearize={mode: milliseconds(call) for mode, call in ways.items()},
         sweep=milliseconds(lambda: sweep(lq)),
-        iteration=1e3 * seconds,
+        iteration=(whole - start) / max(result.iterations, 1),
         rollouts_per_iteration=sum(entry.evaluations for entry in spent) / max(len(spent), 1),
         bare=_bare(dynamics, trajectory) if isinstance(dynamics, MujocoDynamics) else {},
+        errors=_errors(dynamics, trajectory) if isinstance(dynamics, MujocoDynamics) else {},
+    )
+
+
+def _on_one_thread(problem: Problem) -> Problem:
+    """The same problem; MuJoCo engines that use several threads are made anew."""
+    if not isinstance(problem.dynamics, MujocoDynamics):
+        return problem
+    return dataclasses.replace(problem, dynamics=MujocoDynamics.from_model(_model(problem.dynamics), threads=1))
+
+
+def _model(dynamics: Dynamics) -> Any:
+    assert isinstance(dynamics, MujocoDynamics)
+    return dynamics.model
+
+
+def _start(problem: Problem) -> Array:
+    return np.asarray(problem.U0, dtype=np.float64)
+
+
+def _phases(problem: Problem) -> float:
+    """Milliseconds of rollout, linearization and sweep together, along the problem's start."""
+    problem = _on_one_thread(problem)
+    trajectory, dynamics = problem.rollout(_start(problem)), problem.dynamics
+    lq, U = _lq_problem(problem, trajectory), np.array(trajectory.U)
+    return sum(
+        milliseconds(call)
+        for call in (lambda: dynamics.rollout(problem.x0, U), lambda: dynamics.linearize(trajectory), lambda: sweep(lq))
     )
 
 
@@ -121,13 +213,6 @@ def milliseconds(call: Callable[[], Any]) -> float:
         best = min(best, now - begin)
         if now > end:
             return 1e3 * best
-
-
-def _once(problem: Problem) -> float:
-    """Seconds an iteration of a solve, all included."""
-    begin = time.perf_counter()
-    result = solve(problem, max_iterations=ITERATIONS, keep_iterates=False)
-    return (time.perf_counter() - begin) / max(result.iterations, 1)
 
 
 def _lq_problem(problem: Problem, trajectory: Trajectory) -> LQProblem:
@@ -171,13 +256,47 @@ def _bare(dynamics: MujocoDynamics, trajectory: Trajectory) -> dict[str, float]:
             data.ctrl[:] = u
             mujoco.mj_step(model, data)
 
-    return {"mjd_transitionFD": milliseconds(differentiate), "mj_step": milliseconds(step)}
+    def invert() -> None:
+        for n in range(trajectory.horizon):
+            place(n)
+            mujoco.mj_inverse(model, data)
+
+    calls = {"mjd_transitionFD": differentiate, "mj_step": step, "mj_inverse": invert}
+    return {name: milliseconds(call) for name, call in calls.items()}
+
+
+def _errors(dynamics: MujocoDynamics, trajectory: Trajectory) -> dict[str, float]:
+    """Median error of A over some knots in the middle, relative to each knot's largest entry."""
+    first, dt = trajectory.horizon // 2, np.asarray(trajectory.dt)
+    knots, steps = slice(first, first + KNOTS + 1), slice(first, first + KNOTS)
+    part = Trajectory(trajectory.X[knots], trajectory.U[steps], trajectory.Y[knots], dt[steps])
+    fine = fine_reference(dynamics, part).A
+    scale = np.abs(fine).max(axis=(1, 2))
+    found = {mode: call().A for mode, call in _linearizations(dynamics, part).items()}
+    return {mode: float(np.median(np.abs(A - fine).max(axis=(1, 2)) / scale)) for mode, A in found.items()}
+
+
+def _chain(links: int) -> Problem:
+    """A hanging chain of links with a motor at every hinge, which is to come to rest bent."""
+    import mujoco
+
+    spec = mujoco.MjSpec()
+    spec.option.timestep, spec.option.integrator = 0.01, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    body = spec.worldbody
+    for i in range(links):
+        body = body.add_body(pos=[0.0, 0.0, -0.2 if i else 0.0])
+        joint = body.add_joint(name=f"hinge{i}", axis=[0.0, 1.0, 0.0], damping=[0.1, 0.0, 0.0])
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0.0, 0.0, 0.0, 0.0, 0.0, -0.2], size=[0.02, 0.0, 0.0])
+        motor = spec.add_actuator(trntype=mujoco.mjtTrn.mjTRN_JOINT, target=joint.name)
+        motor.set_to_motor()
+    dynamics = MujocoDynamics.from_spec(spec, threads=1)
+    goal = np.concatenate([np.full(links, 0.1), np.zeros(links)])
+    return Problem(dynamics, 100, np.zeros(2 * links), [State(1.0, goal), Control(0.01)], name="chain")
 
 
 def _solo12_in_flight() -> Problem:
     """The quadruped thrown up from a metre's height: no contact within the horizon."""
-    import dataclasses
-
     problem = problems.get("solo12_stand", horizon=40)
     x0 = np.array(problem.x0)
     x0[2], x0[problem.dynamics.nx - problem.dynamics.ndx // 2 + 2] = 1.0, 2.0

@@ -256,44 +256,21 @@ def bench(
 ) -> None:
     """Measure what an iteration costs here, phase by phase, beside the engine's own calls."""
     _announce(quiet=False)
-    from rich.console import Console
-    from rich.table import Table
-
-    from mjslq import bench
+    from mjslq import _report, bench
     from mjslq._validation import choose
 
     rows = []
     for case in [choose("case", case, bench.CASES) for case in cases or bench.CASES]:
         print(f"measuring {case} ...", file=sys.stderr, flush=True)
         rows.append(bench.run(case))
-    grown = {} if cases else bench.growth()
+    growth: dict[str, dict[int, float]] = {}
+    for name, measure in {} if cases else bench.GROWTH.items():
+        print(f"measuring {name} ...", file=sys.stderr, flush=True)
+        growth[name] = measure()
     if as_json:
-        print(json.dumps({"cases": [row.as_dict() for row in rows], "growth_ms": grown}))
-        return
-    titles = (
-        "case",
-        "N",
-        "nx",
-        "nu",
-        "rollout",
-        "linearize",
-        "sweep",
-        "iteration",
-        "bare FD + step",
-        "iteration / bare",
-        "FD / ours",
-    )
-    table = Table(*titles, box=None, pad_edge=False, header_style="bold", caption="times in ms")
-    for row in rows:
-        ways = ", ".join(f"{mode} {value:.2f}" for mode, value in row.linearize.items())
-        bare = " + ".join(f"{value:.2f}" for value in row.bare.values())
-        ratios = [f"{ratio:.2f}" if ratio else "" for ratio in (row.ratio_to_bare, row.ratio_of_jacobians)]
-        sizes = (str(row.N), str(row.nx), str(row.nu))
-        times = (f"{row.rollout:.2f}", ways, f"{row.sweep:.2f}", f"{row.iteration:.2f}", bare)
-        table.add_row(row.case, *sizes, *times, *ratios)
-    Console(width=max(160, Console().width)).print(table)
-    if grown:
-        print("growth with N, ms: " + ", ".join(f"{N}: {value:.2f}" for N, value in grown.items()))
+        print(json.dumps({"cases": [row.as_dict() for row in rows], "growth": growth}))
+    else:
+        _report.benchmark(rows, growth)
 
 
 def _announce(quiet: bool) -> None:

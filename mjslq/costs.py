@@ -70,7 +70,8 @@ class Tracking(CostTerm):
         R = per_step_matrices("R", self.R, N, dynamics.nu, definite=True)
         x_target = _state_targets("x_target", self.x_target, dynamics, N)
         u_target = per_step_vectors("u_target", 0.0 if self.u_target is None else self.u_target, N, dynamics.nu)
-        return StateTerm(dynamics, np.concatenate([Q, Q_final]), x_target), ControlTerm(R, u_target)
+        ones = np.ones(N + 1)
+        return StateTerm(dynamics, ones, np.concatenate([Q, Q_final]), x_target), ControlTerm(ones[:N], R, u_target)
 
 
 @dataclass(frozen=True)
@@ -87,10 +88,8 @@ class State(CostTerm):
     def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
         """See `CostTerm.bind`."""
         weight = per_step_matrices("weight", self.weight, 1, dynamics.ndx, definite=False)
-        scales = _scales(self.when, dynamics, N)
-        return (
-            StateTerm(dynamics, scales[:, None, None] * weight, _state_targets("target", self.target, dynamics, N)),
-        )
+        target = _state_targets("target", self.target, dynamics, N)
+        return (StateTerm(dynamics, _scales(self.when, dynamics, N), weight, target),)
 
 
 @dataclass(frozen=True)
@@ -106,7 +105,7 @@ class Control(CostTerm):
         """See `CostTerm.bind`."""
         weight = per_step_matrices("weight", self.weight, 1, dynamics.nu, definite=True)
         target = per_step_vectors("target", self.target, N, dynamics.nu)
-        return (ControlTerm(dynamics.steps(N)[:, None, None] * weight, target),)
+        return (ControlTerm(dynamics.steps(N), weight, target),)
 
 
 @dataclass(frozen=True)
@@ -135,8 +134,8 @@ class Sensor(CostTerm):
             if (length < 1e-9).any():
                 raise ValueError(f"target of the orientation {self.name!r} must be a quaternion, not zeros")
             target, size = target / length, 3
-        weight = per_step_matrices("weight", self.weight, 1, size, definite=False)[0]
-        return (SensorTerm(output.columns, output.quaternion, target, weight, _scales(self.when, dynamics, N)),)
+        weight = per_step_matrices("weight", self.weight, 1, size, definite=False)
+        return (SensorTerm(output.columns, output.quaternion, _scales(self.when, dynamics, N), weight, target),)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -95,7 +96,7 @@ class Problem:
         """Second-order (Gauss-Newton) expansion of the cost about `trajectory`."""
         if linearization is None:
             linearization = self.dynamics.linearize(trajectory)
-        expansion = Expansion.zeros(self.horizon, self.dynamics.ndx, self.dynamics.nu)
+        expansion = Expansion(*(part.copy() for part in self._prepared))
         for term in self._terms:
             term.expand(trajectory, linearization, expansion)
         return expansion
@@ -117,6 +118,14 @@ class Problem:
         linearization = self.dynamics.linearize(trajectory)
         expansion = self.expand(trajectory, linearization)
         return adjoint(linearization.A, linearization.B, expansion.q, expansion.r)[1]
+
+    @cached_property
+    def _prepared(self) -> Expansion:
+        """What the expansion has in it along every trajectory."""
+        expansion = Expansion.zeros(self.horizon, self.dynamics.ndx, self.dynamics.nu)
+        for term in self._terms:
+            term.prepare(expansion)
+        return expansion
 
     def scene(self) -> Scene | None:
         """What a viewer draws for this problem."""

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from mjslq import bench
+from mjslq import _report, bench
 
 
 @pytest.fixture(autouse=True)
@@ -23,13 +23,34 @@ def test_a_row_holds_positive_times_and_their_ratios():
     times = [row.rollout, row.sweep, row.iteration, *row.linearize.values(), *row.bare.values()]
     assert np.isfinite(times).all() and min(times) > 0.0
     assert row.ratio_to_bare == pytest.approx(row.iteration / (row.bare["mjd_transitionFD"] + row.bare["mj_step"]))
+    assert row.ratio_to_calls == pytest.approx(
+        row.iteration / (row.rollouts_per_iteration * row.bare["mj_step"] + row.bare["mj_inverse"])
+    )
+    assert row.errors["inverse"] < row.errors["transition"] < 1e-6
     assert row.ratio_of_jacobians == pytest.approx(row.bare["mjd_transitionFD"] / min(row.linearize.values()))
 
 
 def test_other_engines_have_no_bare_calls():
     row = bench.run("panda_reach, pinocchio")
     assert row.engine == "pinocchio" and row.bare == {}
-    assert row.ratio_to_bare is None and row.ratio_of_jacobians is None
+    assert row.ratio_to_bare is None and row.ratio_to_calls is None and row.ratio_of_jacobians is None
+
+
+def test_growth_is_measured_by_horizon_states_iterations_and_threads():
+    assert list(bench.growth("panda_reach", (5, 10))) == [5, 10]
+    assert list(bench.growth_with_states((1, 3))) == [2, 6]
+    memory = bench.growth_of_memory("hopper", iterations=20)
+    assert not memory or memory[20] >= memory[2] > 1.0
+    assert bench.speedup("hopper")[1] == 1.0
+    for name, measure in bench.GROWTH.items():
+        assert name and callable(measure)
+
+
+def test_the_table_has_a_line_a_case(capsys):
+    rows = [bench.run("hopper")]
+    _report.benchmark(rows, {"milliseconds by the horizon": {100: 1.0, 200: 2.0}})
+    printed = capsys.readouterr().out
+    assert printed.count("hopper") == 2 and "200: 2" in printed
 
 
 @pytest.mark.parametrize("case", bench.CASES)

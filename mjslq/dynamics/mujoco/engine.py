@@ -91,7 +91,7 @@ class MujocoDynamics(Dynamics):
         """The model's name, or its file's."""
         self.jacobian = choose_jacobian(self.model, choose("jacobian", jacobian, ("auto", *_JACOBIANS)))
         """How `linearize` works: "inverse" or "transition"."""
-        self._threads = _usable_cores() if threads is None else count("threads", threads)
+        self._threads = usable_cores() if threads is None else count("threads", threads)
         self._eps, self._centered = positive("eps", eps), bool(centered)
         self._space = StateSpace.of_model(model)
         self._lock = threading.Lock()
@@ -314,7 +314,8 @@ def _refuse_diverged(trajectory: Trajectory) -> None:
         raise ValueError(f"the trajectory diverged at knot {trajectory.diverged_at}; there is nothing to linearize")
 
 
-def _usable_cores() -> int:
+def usable_cores() -> int:
+    """Count the processor cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return max(1, len(os.sched_getaffinity(0)))
     return os.cpu_count() or 1

@@ -13,7 +13,7 @@ from mjslq._validation import Array
 from mjslq.dynamics._base import Linearization
 from mjslq.dynamics.mujoco import kernels
 from mjslq.dynamics.mujoco.checks import refuse_callbacks
-from mjslq.dynamics.mujoco.library import Workers, quiet
+from mjslq.dynamics.mujoco.library import Workers, copied, quiet
 from mjslq.trajectory import Trajectory
 
 
@@ -95,7 +95,7 @@ class Horizon:
 
         The caller keeps the arrays alive until the kernel is done.
         """
-        jobs = self._blank[:number].copy()
+        jobs = copied(self._blank[:number])
         _fill(jobs, {"N": N, **fields})
         return jobs
 

@@ -131,3 +131,8 @@ class Workers:
             reasons = (library().mjb_error(self._batch, int(i)).decode(errors="replace") for i in ids)
             reason = next((text for text in reasons if text), "no reason given")
             raise RuntimeError(f"MuJoCo stopped with an error: {reason}")
+
+
+def copied(jobs: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Copy of an array of jobs as plain bytes: numpy's own takes each of the many fields by itself, which is slow."""
+    return jobs.view(np.uint8).copy().view(jobs.dtype)

@@ -52,20 +52,22 @@ class StateSpace:
     def difference(self, x: Array, y: Array) -> Array:
         """Tangent direction from `x` to `y`. Shapes (..., nx) -> (..., ndx)."""
         x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+        if not len(self.quat_x):
+            return y - x
         dx = np.empty((*np.broadcast_shapes(x.shape, y.shape)[:-1], self.ndx))
         dx[..., self.plain_dx] = y[..., self.plain_x] - x[..., self.plain_x]
-        if len(self.quat_x):
-            dx[..., self.quat_dx] = log(product(conjugate(x[..., self.quat_x]), y[..., self.quat_x]))
+        dx[..., self.quat_dx] = log(product(conjugate(x[..., self.quat_x]), y[..., self.quat_x]))
         return dx
 
     def integrate(self, x: Array, dx: Array) -> Array:
         """State reached from `x` along `dx`. Shapes (..., nx), (..., ndx) -> (..., nx)."""
         x, dx = np.asarray(x, dtype=np.float64), np.asarray(dx, dtype=np.float64)
+        if not len(self.quat_x):
+            return x + dx
         y = np.empty((*np.broadcast_shapes(x.shape[:-1], dx.shape[:-1]), self.nx))
         y[..., self.plain_x] = x[..., self.plain_x] + dx[..., self.plain_dx]
-        if len(self.quat_x):
-            turned = product(x[..., self.quat_x], exp(dx[..., self.quat_dx]))
-            y[..., self.quat_x] = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+        turned = product(x[..., self.quat_x], exp(dx[..., self.quat_dx]))
+        y[..., self.quat_x] = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
         return y
 
     def difference_jacobian(self, x: Array, y: Array) -> Array | None:

@@ -15,11 +15,10 @@ from mjslq.dynamics.mujoco.inverse.job import INDICES, JOB, VIEWS, WORK
 from mjslq.dynamics.mujoco.inverse.layout import offsets
 from mjslq.dynamics.mujoco.inverse.outputs import sensors
 from mjslq.dynamics.mujoco.inverse.plan import arrays, plan
+from mjslq.dynamics.mujoco.library import copied
 from mjslq.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    import mujoco
-
     from mjslq.dynamics.mujoco.horizon import Horizon
 
 
@@ -32,7 +31,7 @@ class InverseJacobians:
             plan(horizon.model) | arrays(sensors(horizon.model)) | arrays({"eps": eps, "centered": int(centered)})
         )
         self._work = [self._workspace() for _ in range(horizon.workers.count)]
-        self._offsets = {"at_" + name.replace(".", "_"): at for name, at in offsets().items()}
+        self._blank = self._blank_jobs()
 
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step and of the outputs, the knots shared out among the workers."""
@@ -45,28 +44,32 @@ class InverseJacobians:
         )
         knots = N + 1 if ny else N
         chunks = np.linspace(0, knots, min(horizon.workers.count, max(knots, 1)) + 1).astype(int)
-        jobs = np.zeros(len(chunks) - 1, JOB)
+        jobs = copied(self._blank[: len(chunks) - 1])
         jobs["N"], jobs["first"], jobs["last"] = N, chunks[:-1], chunks[1:]
-        jobs["model"] = horizon.model._address
-        arrays = {**result._asdict(), "X": np.ascontiguousarray(trajectory.X), "U": np.ascontiguousarray(trajectory.U)}
-        for name, value in {**self._table, **self._offsets, **arrays}.items():
-            jobs[name] = value.ctypes.data if np.ndim(value) else value
-        for job, data, work in zip(jobs, horizon._data, self._work, strict=False):
-            _point_at(job, data, work)
+        given = {"X": np.ascontiguousarray(trajectory.X), "U": np.ascontiguousarray(trajectory.U)}
+        for name, array in {**result._asdict(), **given}.items():
+            jobs[name] = array.ctypes.data
         horizon.workers.run(kernels.address(inverse), jobs)
         return result
+
+    def _blank_jobs(self) -> np.ndarray[Any, Any]:
+        """A job for each worker, with all that is the same at every call filled in."""
+        jobs = np.zeros(len(self._work), JOB)
+        jobs["model"] = self._horizon.model._address
+        for name, value in self._table.items():
+            jobs[name] = value.ctypes.data if value.ndim else value
+        for name, at in offsets().items():
+            jobs["at_" + name.replace(".", "_")] = at
+        for job, data, work in zip(jobs, self._horizon._data, self._work, strict=True):
+            job["data"] = data._address
+            for name in VIEWS:
+                job[name] = getattr(data, name).ctypes.data
+            for name, array in work.items():
+                job[name] = array.ctypes.data
+        return jobs
 
     def _workspace(self) -> dict[str, Any]:
         """Arrays for intermediate results of one worker."""
         sizes = [[int(self._table[n]) if isinstance(n, str) else n for n in shape] for shape in WORK.values()]
         indices = {name: np.zeros(int(self._table["nv"]), np.int64) for name in INDICES}
         return dict(zip(WORK, map(np.zeros, sizes), strict=True)) | indices
-
-
-def _point_at(job: Any, data: mujoco.MjData, work: dict[str, Any]) -> None:
-    """Enter the addresses of one mjData, of its arrays, and of a workspace."""
-    job["data"] = data._address
-    for name in VIEWS:
-        job[name] = getattr(data, name).ctypes.data
-    for name, array in work.items():
-        job[name] = array.ctypes.data
