@@ -119,8 +119,6 @@ class Dynamics(ABC):
     wants_feedback: bool = False
     """Whether steps of an optimizer had better run under feedback: true of engines that simulate robots, whose
     unstable motions drift away from an open-loop change of the controls."""
-    reads_ends: bool = True
-    """Whether `linearize` may read where a step ends off the trajectory, rather than step itself."""
     control_names: tuple[str, ...]
     output_names: tuple[str, ...]
 
@@ -186,20 +184,9 @@ class Dynamics(ABC):
     def linearize_steps(self, X: Array, U: Array, F: Array) -> Linearization:
         """Jacobians of steps that need not follow each other: from x_n under u_n to F_n, which is f_n(x_n, u_n).
 
-        Where the engine `reads_ends`, even and odd steps take turns: in each of two trajectories every other step is
-        whole.
+        For engines whose `linearize` reads of a knot only x_n and u_n; others have a way of their own.
         """
-        if not self.reads_ends:
-            return self.linearize(Trajectory(X, U, dt=self.dt))
-        parts = []
-        for parity in (0, 1):
-            states = np.array(X)
-            states[parity + 1 :: 2] = F[parity::2]
-            parts.append(self.linearize(Trajectory(states, U, dt=self.dt)))
-        merged = [array.copy() for array in parts[0]]
-        for array, odd in zip(merged, parts[1], strict=True):
-            array[1::2] = odd[1::2]
-        return Linearization(*merged)
+        return self.linearize(Trajectory(X, U, dt=self.dt))
 
     def hessian(
         self,

@@ -79,8 +79,6 @@ class FunctionDynamics(Dynamics):
         When f does not return shape (nx,) at the origin, or an argument is out of place.
     """
 
-    reads_ends = False
-
     def __init__(
         self,
         f: Callable[..., Any],

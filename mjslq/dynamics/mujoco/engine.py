@@ -242,6 +242,13 @@ class MujocoDynamics(Dynamics):
         with self._lock:
             return _JACOBIANS[self.jacobian](self, trajectory)
 
+    def linearize_steps(self, X: Array, U: Array, F: Array) -> Linearization:
+        """Jacobians of steps that need not follow each other; see `Dynamics`."""
+        if self.jacobian != "inverse":
+            return super().linearize_steps(X, U, F)
+        with self._lock:
+            return self._inverse.linearize(X, U, F)
+
     def difference(self, x: Array, y: Array) -> Array:
         """Tangent direction that leads from state `x` to state `y`. Shapes (..., nx) -> (..., ndx)."""
         return self._space.difference(x, y)
@@ -294,7 +301,7 @@ class MujocoDynamics(Dynamics):
         return InverseJacobians(self._horizon, self._eps, self._centered)
 
     def _linearize_inverse(self, trajectory: Trajectory) -> Linearization:
-        return self._inverse.linearize(trajectory)
+        return self._inverse.linearize(trajectory.X, trajectory.U, trajectory.X[1:])
 
     def _linearize_transition(self, trajectory: Trajectory) -> Linearization:
         return self._horizon.linearize_transition(trajectory, self._eps, self._centered)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mjslq._validation import Array
 from mjslq.dynamics._base import Linearization
 from mjslq.dynamics.mujoco import kernels
 from mjslq.dynamics.mujoco.inverse.job import INDICES, JOB, VIEWS, WORK
@@ -16,7 +17,6 @@ from mjslq.dynamics.mujoco.inverse.layout import offsets
 from mjslq.dynamics.mujoco.inverse.outputs import sensors
 from mjslq.dynamics.mujoco.inverse.plan import arrays, plan
 from mjslq.dynamics.mujoco.library import copied
-from mjslq.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from mjslq.dynamics.mujoco.horizon import Horizon
@@ -33,11 +33,14 @@ class InverseJacobians:
         self._work = [self._workspace() for _ in range(horizon.workers.count)]
         self._blank = self._blank_jobs()
 
-    def linearize(self, trajectory: Trajectory) -> Linearization:
-        """Jacobians of every step and of the outputs, the knots shared out among the workers."""
+    def linearize(self, X: Array, U: Array, ends: Array) -> Linearization:
+        """Jacobians of every step and of the outputs, the knots shared out among the workers.
+
+        Step n leads from X_n, shape (N + 1, nx), under U_n (N, nu) to ends_n (N, nx).
+        """
         from mjslq.dynamics.mujoco.inverse.kernel import inverse
 
-        horizon, N = self._horizon, trajectory.horizon
+        horizon, N = self._horizon, len(U)
         nu, ny, ndx = horizon.model.nu, horizon.model.nsensordata, horizon.ndx
         result = Linearization(
             np.empty((N, ndx, ndx)), np.empty((N, ndx, nu)), np.zeros((N + 1, ny, ndx)), np.zeros((N + 1, ny, nu))
@@ -46,7 +49,7 @@ class InverseJacobians:
         chunks = np.linspace(0, knots, min(horizon.workers.count, max(knots, 1)) + 1).astype(int)
         jobs = copied(self._blank[: len(chunks) - 1])
         jobs["N"], jobs["first"], jobs["last"] = N, chunks[:-1], chunks[1:]
-        given = {"X": np.ascontiguousarray(trajectory.X), "U": np.ascontiguousarray(trajectory.U)}
+        given = {name: np.ascontiguousarray(array) for name, array in (("X", X), ("U", U), ("ends", ends))}
         for name, array in {**result._asdict(), **given}.items():
             jobs[name] = array.ctypes.data
         horizon.workers.run(kernels.address(inverse), jobs)

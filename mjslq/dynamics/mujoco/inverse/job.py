@@ -11,7 +11,7 @@ Entries of a job, arrays by address:
     INTEGERS, NUMBERS    what the plan (`plan`) found out about the model, constant
     VIEWS                arrays of mjData, filled by MuJoCo's own functions at each knot
     WORK                 arrays for intermediate results, one set per worker
-    RESULTS              the trajectory and its Jacobians
+    RESULTS              states, controls, where the steps end, and the Jacobians
     OFFSETS              where mjData and mjContact hold what lies in the arena (`layout`)
 
 Names are those of mjModel and mjData wherever they mean the same. A compiled function takes the whole job and makes
@@ -59,7 +59,7 @@ WORK: dict[str, tuple[int | str, int | str]] = {
 """Shapes of the arrays for intermediate results."""
 INDICES = ("dofs", "chain", "marked", "member")
 """Arrays of nv integers for intermediate results."""
-RESULTS = ("X", "U", "A", "B", "C", "D")
+RESULTS = ("X", "U", "ends", "A", "B", "C", "D")
 OFFSETS = tuple(f"at_{name}" for name in ARENA + COUNTS + tuple(f"contact_{name}" for name in (*CONTACT, "size")))
 JOB = np.dtype(
     [

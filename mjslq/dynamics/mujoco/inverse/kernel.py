@@ -368,7 +368,7 @@ def _make_kernel(stamp: int) -> Any:
             return
         job = numba.carray(jobs, worker + 1, JOB)[worker]
         nx, ndx, nu, ny = job.nq + job.nv + job.na, 2 * job.nv + job.na, job.nu, job.ny
-        X, U = matrix(job.X, job.N + 1, nx), matrix(job.U, job.N, nu)
+        X, U, ends = matrix(job.X, job.N + 1, nx), matrix(job.U, job.N, nu), matrix(job.ends, job.N, nx)
         no_control = np.zeros(nu)
         mj_resetData(job.model, job.data)
         for n in range(job.first, job.last):
@@ -380,7 +380,7 @@ def _make_kernel(stamp: int) -> Any:
             mj_comPos(job.model, job.data)
             if n < job.N:
                 A, B = matrix(job.A + 8 * n * ndx * ndx, ndx, ndx), matrix(job.B + 8 * n * ndx * nu, ndx, nu)
-                _linearize_knot(job, X[n], X[n + 1, job.nq : job.nq + job.nv], A, B)
+                _linearize_knot(job, X[n], ends[n, job.nq : job.nq + job.nv], A, B)
             elif ny > 0:
                 _visit_last_knot(job)
             if ny > 0:
