@@ -14,7 +14,8 @@ class Scene:
     """What a viewer needs to draw a trajectory; kept inside saved results."""
 
     model: bytes
-    """The compiled model in MuJoCo's binary format (MJB)."""
+    """The compiled model in MuJoCo's binary format (MJB). Made to be drawn: the boxes around parts of meshes that
+    speed up collisions, half the size of many robots, may be zero in it."""
     columns: tuple[int, ...]
     """Entries of the state x that are the model's qpos, in its order. Length nq."""
     name: str = "model"

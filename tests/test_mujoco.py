@@ -225,6 +225,21 @@ def test_scene_holds_the_model(tmp_path):
     assert scene.poses(X).shape == (4, model.nq) and scene.name == "model"
 
 
+def test_scene_leaves_out_what_only_collisions_need():
+    spec = mujoco.MjSpec()
+    mesh = spec.add_mesh(name="ball")
+    mesh.make_sphere(subdivision=3)
+    body = spec.worldbody.add_body()
+    body.add_joint(name="turn")
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="ball")
+    spec.add_actuator(trntype=mujoco.mjtTrn.mjTRN_JOINT, target="turn").set_to_motor()
+    dynamics = MujocoDynamics.from_spec(spec)
+    before = dynamics.model.bvh_aabb.copy()
+    kept = mujoco.MjModel.from_binary_path("scene.mjb", {"scene.mjb": dynamics.scene().model})
+    assert before.any() and not kept.bvh_aabb.any() and (kept.mesh_vert == dynamics.model.mesh_vert).all()
+    np.testing.assert_array_equal(dynamics.model.bvh_aabb, before)
+
+
 def test_empty_horizon_and_no_sensors():
     dynamics = MujocoDynamics.from_xml(ARM[: ARM.index("<sensor>")] + "</mujoco>")
     trajectory = dynamics.rollout(dynamics.initial_state, np.zeros((0, 2)))

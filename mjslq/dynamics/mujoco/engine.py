@@ -284,8 +284,10 @@ class MujocoDynamics(Dynamics):
     def _scene(self) -> Scene:
         import mujoco
 
-        data = np.empty(mujoco.mj_sizeModel(self.model), np.uint8)
-        mujoco.mj_saveModel(self.model, None, data)
+        drawn = copy.copy(self.model)
+        drawn.bvh_aabb[:] = 0.0  # half of a model with meshes, which only collisions read; zeros take no room in files
+        data = np.empty(mujoco.mj_sizeModel(drawn), np.uint8)
+        mujoco.mj_saveModel(drawn, None, data)
         return Scene(data.tobytes(), tuple(range(self.model.nq)), self.name)
 
     @cached_property
