@@ -67,7 +67,7 @@ def per_step_matrices(name: str, value: ArrayLike, steps: int, size: int, *, def
     asymmetry = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
     _refuse_first(name, constant, asymmetry > 1e-9 * scale, "must be symmetric", asymmetry, "an asymmetry")
     matrices = 0.5 * (matrices + matrices.transpose(0, 2, 1))
-    smallest = np.linalg.eigvalsh(matrices)[:, 0] if size else np.ones(len(matrices))
+    smallest = np.asarray(np.linalg.eigvalsh(matrices)[:, 0] if size else np.ones(len(matrices)), np.float64)
     if definite:
         wrong, kind = smallest <= 0.0, "must be positive definite"
     else:
