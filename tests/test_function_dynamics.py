@@ -450,3 +450,12 @@ def test_dynamics_do_not_alias_their_parameters():
     dt[:], parameters[:] = 5.0, 5.0
     np.testing.assert_array_equal(dynamics.rollout([0.0], np.ones((4, 1))).X, before.X)
     np.testing.assert_array_equal(before.dt, np.full(4, 0.1))
+
+
+def test_a_trajectory_of_another_system_is_refused():
+    one, two = FunctionDynamics(lambda x, u: x + u, 1, 1, 0.1), FunctionDynamics(lambda x, u: x + u[0], 2, 1, 0.1)
+    other = two.rollout(np.zeros(2), np.zeros((3, 1)))
+    with pytest.raises(ValueError, match="2 states and 1 controls, but these dynamics have 1 and 1"):
+        one.linearize(other)
+    with pytest.raises(ValueError, match="K must have shape"):
+        two.rollout_feedback(other, np.zeros((3, 1, 1)), np.zeros((3, 1)))

@@ -294,6 +294,25 @@ class Dynamics(ABC):
         """Return `U` as controls (N, nu) or raise ValueError."""
         return np.array(as_array("U", U, ("N", self.nu)))  # a copy: trajectories do not alias what they came from
 
+    def check_trajectory(self, trajectory: Trajectory) -> None:
+        """Raise ValueError for a trajectory that diverged, or of another system."""
+        if trajectory.diverged:
+            raise ValueError(f"the trajectory diverged at knot {trajectory.diverged_at}; there is nothing to linearize")
+        if trajectory.X.shape[1] != self.nx or trajectory.U.shape[1] != self.nu:
+            raise ValueError(
+                f"the trajectory has {trajectory.X.shape[1]} states and {trajectory.U.shape[1]} controls, "
+                f"but these dynamics have {self.nx} and {self.nu}"
+            )
+
+    def checked_feedback(
+        self, reference: Trajectory, K: Array, k: Array, x0: ArrayLike | None
+    ) -> tuple[Array, Array, Array]:
+        """Return gains, feedforward and start of a rollout about `reference`, or raise ValueError."""
+        self.check_trajectory(reference)
+        N = reference.horizon
+        K, k = as_array("K", K, (N, self.nu, self.ndx)), as_array("k", k, (N, self.nu))
+        return K, k, reference.X[0] if x0 is None else self.checked_start(x0)
+
 
 def curvature_of(H: Array, ndx: int) -> Curvature:
     """Blocks of the Hessians by (x, u) at every knot. Shape (N + 1, ndx + nu, ndx + nu)."""

@@ -150,8 +150,9 @@ class FunctionDynamics(Dynamics):
         self, reference: Trajectory, K: Array, k: Array, alpha: float = 1.0, x0: ArrayLike | None = None
     ) -> Trajectory:
         """Simulate under u_ref + alpha k - K (x - x_ref); see `Dynamics.rollout_feedback`."""
+        K, k, x0 = self.checked_feedback(reference, K, k, x0)
         X, U = np.empty_like(reference.X), np.empty_like(reference.U)
-        X[0] = reference.X[0] if x0 is None else self.checked_start(x0)
+        X[0] = x0
         roll = self._kernel(kernels.rollout_feedback)
         fixed = (np.array(reference.X), np.array(reference.U))  # writable, as the compiled signature wants
         with np.errstate(all="ignore"):
@@ -160,6 +161,7 @@ class FunctionDynamics(Dynamics):
 
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step of `trajectory`, and of the outputs."""
+        self.check_trajectory(trajectory)
         N = trajectory.horizon
         X, U = np.array(trajectory.X), np.array(trajectory.U)
         A, B = np.empty((N, self.nx, self.nx)), np.empty((N, self.nx, self.nu))

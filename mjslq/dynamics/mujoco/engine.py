@@ -215,10 +215,7 @@ class MujocoDynamics(Dynamics):
         self, reference: Trajectory, K: Array, k: Array, alphas: Sequence[float], x0: ArrayLike | None = None
     ) -> list[Trajectory]:
         """Simulate under feedback with several step sizes, on several threads; see `Dynamics`."""
-        _refuse_diverged(reference)
-        N = reference.horizon
-        K, k = as_array("K", K, (N, self.nu, self.ndx)), as_array("k", k, (N, self.nu))
-        x0 = reference.X[0] if x0 is None else self.checked_start(x0)
+        K, k, x0 = self.checked_feedback(reference, K, k, x0)
         with self._lock:
             return self._horizon.rollout_candidates(reference, K, k, alphas, x0)
 
@@ -233,12 +230,7 @@ class MujocoDynamics(Dynamics):
 
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step of `trajectory`, and of the outputs at every knot."""
-        _refuse_diverged(trajectory)
-        if trajectory.X.shape[1] != self.nx or trajectory.U.shape[1] != self.nu:
-            raise ValueError(
-                f"the trajectory has {trajectory.X.shape[1]} states and {trajectory.U.shape[1]} controls, "
-                f"but these dynamics have {self.nx} and {self.nu}"
-            )
+        self.check_trajectory(trajectory)
         with self._lock:
             return _JACOBIANS[self.jacobian](self, trajectory)
 
@@ -316,11 +308,6 @@ _JACOBIANS: dict[str, Callable[[MujocoDynamics, Trajectory], Linearization]] = {
     "inverse": MujocoDynamics._linearize_inverse,
     "transition": MujocoDynamics._linearize_transition,
 }
-
-
-def _refuse_diverged(trajectory: Trajectory) -> None:
-    if trajectory.diverged:
-        raise ValueError(f"the trajectory diverged at knot {trajectory.diverged_at}; there is nothing to linearize")
 
 
 def usable_cores() -> int:

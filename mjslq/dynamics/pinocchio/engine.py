@@ -187,10 +187,7 @@ class PinocchioDynamics(Dynamics):
         self, reference: Trajectory, K: Array, k: Array, alpha: float = 1.0, x0: ArrayLike | None = None
     ) -> Trajectory:
         """Simulate under u_n = u_ref,n + alpha k_n - K_n difference(x_ref,n, x_n); see `Dynamics`."""
-        _refuse_diverged(reference)
-        N = reference.horizon
-        K, k = as_array("K", K, (N, self.nu, self.ndx)), as_array("k", k, (N, self.nu))
-        x0 = reference.X[0] if x0 is None else self.checked_start(x0)
+        K, k, x0 = self.checked_feedback(reference, K, k, x0)
         with self._lock:
             return self._horizon.simulate(x0, reference.U + float(alpha) * k, reference.X, K)
 
@@ -220,12 +217,7 @@ class PinocchioDynamics(Dynamics):
 
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step of `trajectory`, and of the outputs at every knot."""
-        _refuse_diverged(trajectory)
-        if trajectory.X.shape[1] != self.nx or trajectory.U.shape[1] != self.nu:
-            raise ValueError(
-                f"the trajectory has {trajectory.X.shape[1]} states and {trajectory.U.shape[1]} controls, "
-                f"but these dynamics have {self.nx} and {self.nu}"
-            )
+        self.check_trajectory(trajectory)
         with self._lock:
             return self._horizon.linearize(trajectory)
 
@@ -325,8 +317,3 @@ class PinocchioDynamics(Dynamics):
         stepped = self.model.copy()
         stepped.armature = self.model.armature + h * self.damping
         return SemiImplicitEuler(stepped, h, *rest)
-
-
-def _refuse_diverged(trajectory: Trajectory) -> None:
-    if trajectory.diverged:
-        raise ValueError(f"the trajectory diverged at knot {trajectory.diverged_at}; there is nothing to linearize")
