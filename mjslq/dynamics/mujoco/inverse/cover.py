@@ -149,7 +149,6 @@ def _clipped_sum(model: mujoco.MjModel) -> bool:
 
 
 _REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
-    (lambda m: m.opt.integrator == INT.mjINT_DISCRETE, "the integrator is discrete"),
     (lambda m: m.nflex > 0, "it has flexes"),
     (
         lambda m: can_be_constrained(m) and m.opt.noslip_iterations > 0,

@@ -14,7 +14,7 @@ from mjslq.dynamics.mujoco import kernels
 from mjslq.dynamics.mujoco.inverse.job import INDICES, JOB, VIEWS, WORK
 from mjslq.dynamics.mujoco.inverse.layout import offsets
 from mjslq.dynamics.mujoco.inverse.outputs import sensors
-from mjslq.dynamics.mujoco.inverse.plan import arrays, plan
+from mjslq.dynamics.mujoco.inverse.plan import arrays, plan, row_model
 from mjslq.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ class InverseJacobians:
         self._table = (
             plan(horizon.model) | arrays(sensors(horizon.model)) | arrays({"eps": eps, "centered": int(centered)})
         )
+        self._row_model = row_model(horizon.model)
         self._work = [self._workspace() for _ in range(horizon.workers.count)]
         self._offsets = {"at_" + name.replace(".", "_"): at for name, at in offsets().items()}
 
@@ -47,7 +48,7 @@ class InverseJacobians:
         chunks = np.linspace(0, knots, min(horizon.workers.count, max(knots, 1)) + 1).astype(int)
         jobs = np.zeros(len(chunks) - 1, JOB)
         jobs["N"], jobs["first"], jobs["last"] = N, chunks[:-1], chunks[1:]
-        jobs["model"] = horizon.model._address
+        jobs["model"], jobs["row_model"] = horizon.model._address, self._row_model._address
         arrays = {**result._asdict(), "X": np.ascontiguousarray(trajectory.X), "U": np.ascontiguousarray(trajectory.U)}
         for name, value in {**self._table, **self._offsets, **arrays}.items():
             jobs[name] = value.ctypes.data if np.ndim(value) else value
