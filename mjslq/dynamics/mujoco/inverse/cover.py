@@ -55,6 +55,8 @@ def choose_jacobian(model: mujoco.MjModel, wanted: str) -> str:
 def describe(model: mujoco.MjModel) -> list[tuple[str, str]]:
     """What serves the sensors and the constraints of a covered model, as (part, what serves it)."""
     rows = []
+    if implicit_level(model) == 3:
+        rows.append(("stiffness and damping of the discrete integrator", "analytic"))
     if model.nsensor:
         kinds = sensors(model)["sen_kind"]
         closed = kinds != columns.BY_DIFFERENCES
@@ -117,6 +119,15 @@ def _busy_spatial_tendon(model: mujoco.MjModel) -> bool:
         if any(coefficients) or driven or model.tendon_limited[t] or tied:
             return True
     return False
+
+
+def _beyond_the_metric(model: mujoco.MjModel) -> bool:
+    """Whether the discrete integrator meets forces that are no springs, dampers or servos with constant arms."""
+    if implicit_level(model) != 3:
+        return False
+    plain = np.isin(model.actuator_gaintype, _GAINS).all() and np.isin(model.actuator_biastype, _BIASES).all()
+    fluid = model.opt.density > 0 or model.opt.viscosity > 0
+    return bool(not plain or fluid or _odd_transmission(model) or _busy_spatial_tendon(model))
 
 
 def _branching_tendon(model: mujoco.MjModel) -> bool:
@@ -182,6 +193,7 @@ _REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
         "it has actuators whose moment arm or length is not that of a joint, fixed tendon or plain site",
     ),
     (_busy_spatial_tendon, "it has spatial tendons that act on the motion"),
+    (_beyond_the_metric, "the discrete integrator takes forces implicitly that have no closed form here"),
     (_branching_tendon, "it has tendons with armature or nonlinear damping between branches"),
     (lambda m: bool(np.any(m.tendon_actfrclimited)), "it has tendons with actuator force limits"),
     (

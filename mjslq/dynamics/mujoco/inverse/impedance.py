@@ -12,8 +12,8 @@ J a + b (...) + kappa (...) = -R0 s becomes one with
 
     g = 1 + h b + h^2 kappa,     aref = -((b + h kappa) J v + kappa r) / g,     R = rho R0 max(1 / g, C I / (1 - I)),
 
-all rows of a contact sharing R's factors of its first. The flag refsafe resolves limits and contacts whose
-(timeconst, dampratio) = (t, zeta) has t zeta < h:
+all rows of a contact sharing R's factors of its first. The flag refsafe resolves limits and contacts that are given
+by time constant and damping ratio zeta, where h^2 kappa > 1:
 
     kappa = 1 / h^2,     b = max(0, min(2 zeta / (h sqrt(I)), ((1 - I) / (I C) - 2) / h)).
 
@@ -53,7 +53,7 @@ def softness(job, K):
 @compiled
 def resolve(job, kind, index, K):
     """Replace the spring and damper of a limit or contact row that the time step cannot resolve."""
-    if kind < _LIMIT_JOINT or K[0] == 0.0 or job.refsafe == 0:
+    if kind < _LIMIT_JOINT or job.h * job.h * K[0] * K[2] <= 1.0 or job.refsafe == 0:
         return
     if kind == _LIMIT_JOINT:
         address = job.jnt_solref + 16 * index
@@ -62,7 +62,7 @@ def resolve(job, kind, index, K):
     else:
         address = entry_address(job.data + job.at_contact) + index * job.at_contact_size + job.at_contact_solref
     reference = vector(address, 2)
-    if reference[0] <= 0.0 or reference[0] * reference[1] >= job.h:
+    if reference[0] <= 0.0:
         return
     K[0] = 1.0 / (job.h * job.h * K[2])
     bound = ((1.0 - K[2]) / (K[2] * _LEAST) - 2.0) / job.h

@@ -8,6 +8,7 @@ Notation
 Entries of a job, arrays by address:
 
     SIZES                counts and switches
+    OBJECTS              mjModel, the one that constraint rows are made with (`plan.row_model`), mjData
     INTEGERS, NUMBERS    what the plan (`plan`) found out about the model, constant
     VIEWS                arrays of mjData, filled by MuJoCo's own functions at each knot
     WORK                 arrays for intermediate results, one set per worker
@@ -32,6 +33,7 @@ SIZES = (
     "bodies_tied",
     "nsensor", "sensors_differenced", "sparse", "centered", "coupled", "bends", "refsafe",
 )  # fmt: skip
+OBJECTS = ("model", "row_model", "data")
 INTEGERS = (
     "body_parentid", "body_rootid", "body_dofadr", "body_dofnum", "body_lastdof", "dof_bodyid", "dof_parentid",
     "dof_group", "dof_groupend", "dof_qadr", "dof_gyroscopic", "spring_dof", "spring_qadr", "ball_dof", "ball_qadr",
@@ -66,7 +68,7 @@ OFFSETS = tuple(f"at_{name}" for name in ARENA + COUNTS + tuple(f"contact_{name}
 JOB = np.dtype(
     [
         (name, np.int64)
-        for name in (*SIZES, "model", "row_model", "data", *INTEGERS, *NUMBERS, *VIEWS, *WORK, *INDICES, *RESULTS, *OFFSETS)
+        for name in (*SIZES, *OBJECTS, *INTEGERS, *NUMBERS, *VIEWS, *WORK, *INDICES, *RESULTS, *OFFSETS)
     ]
     + [("h", np.float64), ("eps", np.float64)]
 )

@@ -21,6 +21,11 @@ because d(M^ a_d)/dz = d(M a_d)/dz - E + M^ da_d/dz; and with them, with H = -ds
     (M + J' H J) da_c/dz = F - dtau/dz + (d(J' s)/dz at fixed a_c)            at a = a_c,
     M^ da_d/dz = M da_c/dz + d(M x)/dz at x = a_c - a_d, + E.
 
+The discrete integrator's step M~ a = f - h K v - c + J' s (M~: `metric`) has one acceleration, a = a_d = a_c, and
+
+    (M~ + J' H J) da/dz = F - dtau/dz + E + (d(J' s)/dz at fixed a)            at a = a_d,
+
+with rows of its own (`impedance`, `weights`); + h dc/dv on free bodies without joints that no row touches.
 Then dv_next = dv + h da_d, and the positions follow from q_next = q (+) h v_next. Nothing is solved by iteration and
 no step is repeated, so the derivatives do not see the constraint solver's noise.
 """
@@ -89,6 +94,13 @@ def _assign(A, B):
     for i in range(A.shape[0]):
         for j in range(A.shape[1]):
             A[i, j] = B[i, j]
+
+
+@inlined
+def _add(A, B):
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            A[i, j] += B[i, j]
 
 
 @compiled
@@ -226,9 +238,7 @@ def _smooth_step(job):
     acc_d = vector(job.acc_d, job.nv)
     _rigid_bodies(job, acc_d)
     _inertia(job)
-    for i in range(F.shape[0]):
-        for c in range(F.shape[1]):
-            F[i, c] += E[i, c]
+    _add(F, E)
     fine = factorize(M_hat)
     solve(M_hat, F)
     return fine
@@ -250,11 +260,9 @@ def _constrained_step(job, x):
     evaluate_rows(job, acc_c[:, 0], 1)
     _assign(G, M)
     if job.implicit == 3:
-        present_rows(job)
         _assign(G, M_hat)
-        for i in range(nv):
-            for c in range(job.columns):
-                F[i, c] += E[i, c]
+        _add(F, E)
+        present_rows(job)
         add_weight_changes(job, F)
     if add_rows(job, acc_c[:, 0], F, G):
         add_differences(job, x, acc_c[:, 0], F)

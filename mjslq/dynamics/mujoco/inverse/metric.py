@@ -169,7 +169,7 @@ def _add_actuators(job, acc, F, T, E, slope):
 
 @inlined
 def _along(dofs, arms, x):
-    """m' x."""
+    """Return m' x."""
     total = 0.0
     for n in range(dofs.shape[0]):
         total += arms[n] * x[dofs[n]]

@@ -9,7 +9,8 @@ MuJoCo multiplies the approximate diagonal of each row by rho, so that D = D0 / 
 Forces are proportional to D at fixed jar (those of dry friction that slides do not depend on it), and with
 
     dln(rho) = sum_i  x_i dJ_i + e_i dM_ii + w_i ds_i,
-    x_i = 2 J_i (1 / ((M_ii + s_i) n~) - 1 / (M_ii n)),  e_i = (J_i / M_ii)^2 / n + w_i,  w_i = -(J_i / (M_ii + s_i))^2 / n~,
+    x_i = 2 J_i (1 / ((M_ii + s_i) n~) - 1 / (M_ii n)),
+    e_i = (J_i / M_ii)^2 / n + w_i,          w_i = -(J_i / (M_ii + s_i))^2 / n~,
 
 n and n~ the two sums, the constraint forces change by -J' s dln(rho). Turning dof j beyond dof i changes
 
@@ -87,6 +88,8 @@ def add_weight_changes(job, F):
     kinds = flags(entry_address(job.data + job.at_efc_type), rows)
     ids = flags(entry_address(job.data + job.at_efc_id), rows)
     change, total = vector(job.row_change, job.columns), vector(job.plus, job.nv)
+    # forces that are linear in all that s depends on leave s a constant
+    columns = job.columns if job.bends else job.nv
     prepared, r = False, 0
     while r < rows:
         count = _group_size(job, kinds[r], ids[r])
@@ -97,7 +100,7 @@ def add_weight_changes(job, F):
             _write_change(job, r, count, kinds[r], ids[r], change)
             for i in range(job.nv):
                 if total[i] != 0.0:
-                    for c in range(job.columns):
+                    for c in range(columns):
                         F[i, c] -= total[i] * change[c]
         r += count
 
@@ -123,7 +126,7 @@ def _sum_forces(job, first, count, total):
 @inlined
 def _is_weighted(job, r):
     T, dofs, values = matrix(job.T, job.nv, job.nv), integers(job.dofs, job.nv), vector(job.values, job.nv)
-    for k in range(read_row(job, r, dofs, values)):
+    for k in range(read_row(job, r, dofs, values)):  # noqa: SIM110 -- a plain loop is what numba compiles well
         if T[dofs[k], dofs[k]] != 0.0:
             return True
     return False
