@@ -141,7 +141,8 @@ def add_rows(job, acc, F, G):
     margin = vector(entry_address(job.data + job.at_efc_margin), rows)
     jar = vector(entry_address(job.data + job.at_efc_vel), rows)
     dofs, values = integers(job.dofs, job.nv), vector(job.values, job.nv)
-    nv, rest, r = job.nv, False, 0
+    nv, rest = job.nv, False
+    r = types.int64(0)  # a literal zero would have all that it is passed to compiled once more
     while r < rows:
         kind = kinds[r]
         if kind == ELLIPTIC and states[r] == CONE:

@@ -66,10 +66,7 @@ INDICES = ("dofs", "chain", "marked", "member", "spinning")
 RESULTS = ("X", "U", "A", "B", "C", "D")
 OFFSETS = tuple(f"at_{name}" for name in ARENA + COUNTS + tuple(f"contact_{name}" for name in (*CONTACT, "size")))
 JOB = np.dtype(
-    [
-        (name, np.int64)
-        for name in (*SIZES, *OBJECTS, *INTEGERS, *NUMBERS, *VIEWS, *WORK, *INDICES, *RESULTS, *OFFSETS)
-    ]
+    [(name, np.int64) for name in (*SIZES, *OBJECTS, *INTEGERS, *NUMBERS, *VIEWS, *WORK, *INDICES, *RESULTS, *OFFSETS)]
     + [("h", np.float64), ("eps", np.float64)]
 )
 """One row of this per worker."""

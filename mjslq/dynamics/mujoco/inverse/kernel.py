@@ -250,23 +250,23 @@ def _constrained_step(job, x):
     M, M_hat, G = matrix(job.M, job.nv, job.nv), matrix(job.M_hat, job.nv, job.nv), matrix(job.G, job.nv, job.nv)
     F, E = matrix(job.F, job.nv, job.columns), matrix(job.E, job.nv, job.columns)
     mixed, T = matrix(job.mixed, job.nv, job.columns), matrix(job.T, job.nv, job.nv)
-    acc_c, acc_d = matrix(job.acc_c, job.nv, 1), vector(job.acc_d, job.nv)
+    acc_c, acc_d = vector(job.acc_c, job.nv), vector(job.acc_d, job.nv)
     nv = job.nv
     mass_matrix(job, M)
     _inertia(job)
     fine = _continuous_acceleration(job, M, M_hat, G)
     if job.implicit == 3:
         weigh_rows(job)
-    evaluate_rows(job, acc_c[:, 0], 1)
+    evaluate_rows(job, acc_c, 1)
     _assign(G, M)
     if job.implicit == 3:
         _assign(G, M_hat)
         _add(F, E)
         present_rows(job)
         add_weight_changes(job, F)
-    if add_rows(job, acc_c[:, 0], F, G):
-        add_differences(job, x, acc_c[:, 0], F)
-    outward(job, vector(job.qvel, nv), acc_c[:, 0])
+    if add_rows(job, acc_c, F, G):
+        add_differences(job, x, acc_c, F)
+    outward(job, vector(job.qvel, nv), acc_c)
     inward(job)
     subtract_derivatives(job, F, T)
     fine = factorize(G) and fine
@@ -275,7 +275,7 @@ def _constrained_step(job, x):
         return fine
     change = vector(job.change, nv)
     for i in range(nv):
-        change[i] = acc_c[i, 0] - acc_d[i]
+        change[i] = acc_c[i] - acc_d[i]
         for c in range(job.columns):
             mixed[i, c] = E[i, c]
     add_product(M, F, mixed)
