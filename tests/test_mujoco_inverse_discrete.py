@@ -109,7 +109,10 @@ def test_rows_stiffer_than_the_time_step(contact, cone):
     assert_exact(dynamics, trajectory, eps=1e-6)
 
 
-@pytest.mark.parametrize("contact", ['solref="-60000 -100" solimp=".3 .9999 .03"', 'solref="-4e5 -100"', VARIED])
+@pytest.mark.parametrize(
+    "contact",
+    ['solref="-60000 -100" solimp=".3 .9999 .03"', 'solref="-4e5 -100"', 'solimp=".95 .1 .05" solref=".02 1"', VARIED],
+)
 def test_rows_as_they_are_given(contact):
     dynamics = dynamics_of(creature("elliptic", contact=contact))
     assert_exact(dynamics, on_its_feet(dynamics), eps=1e-6)

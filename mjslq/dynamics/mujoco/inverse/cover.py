@@ -55,8 +55,6 @@ def choose_jacobian(model: mujoco.MjModel, wanted: str) -> str:
 def describe(model: mujoco.MjModel) -> list[tuple[str, str]]:
     """What serves the sensors and the constraints of a covered model, as (part, what serves it)."""
     rows = []
-    if implicit_level(model) == 3:
-        rows.append(("stiffness and damping of the discrete integrator", "analytic"))
     if model.nsensor:
         kinds = sensors(model)["sen_kind"]
         closed = kinds != columns.BY_DIFFERENCES

@@ -17,12 +17,12 @@ by time constant and damping ratio zeta, where h^2 kappa > 1:
 
     kappa = 1 / h^2,     b = max(0, min(2 zeta / (h sqrt(I)), ((1 - I) / (I C) - 2) / h)).
 
-For its derivatives the row is presented as one of continuous time, with k*, b*, I, I'* in efc_KBIP that give
+For its derivatives the row is presented as one of continuous time, with k*, b*, I*, I'* in efc_KBIP that give
 
-    daref/d(J v) = -b*      daref/dr = -k* (I'* r + I)      dlnD/dr = I'* / (I (1 - I)),
+    daref/d(J v) = -b*      daref/dr = -k* (I'* r + I*)      dlnD/dr = I'* / (I* (1 - I*)) = L,
 
-so that all formulas of `constraints` and `contacts` hold as they stand. The denominators are never below I > 0,
-because I grows with |r|.
+so that all formulas of `constraints` and `contacts` hold as they stand. One of the four is free: I* is I, or so near
+to 1 that I'* r + I* = I* (1 + (1 - I*) L r), which k* is divided by, stays away from 0.
 """
 
 from __future__ import annotations
@@ -109,6 +109,6 @@ def _present(job, kind, r, aref, K):
     g_change = h * (b_change + h * kappa_change)
     stiffness = (kappa + (b_change + h * kappa_change) * velocity + kappa_change * r + g_change * aref) / g
     by_pos = 0.0 if bounded else slope / (imp * (1.0 - imp)) + g_change / g
-    K[1] = damping / g
-    K[3] = by_pos * imp * (1.0 - imp)
-    K[0] = stiffness / (imp + K[3] * r)
+    rest = min(1.0 - imp, 0.5 / max(abs(by_pos * r), 0.5))
+    K[1], K[2], K[3] = damping / g, 1.0 - rest, by_pos * rest * (1.0 - rest)
+    K[0] = stiffness / (K[2] + K[3] * r)
