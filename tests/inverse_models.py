@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-INTEGRATORS = ("Euler", "implicitfast", "implicit")
+INTEGRATORS = ("Euler", "implicitfast", "implicit", "discrete")
 SOFT = 'solimp="0 .95 .02" solref=".02 1"'
 
 

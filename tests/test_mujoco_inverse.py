@@ -18,6 +18,8 @@ from mjslq.trajectory import Trajectory
 
 
 def dynamics_of(xml: str, **options: object) -> MujocoDynamics:
+    # with no tolerance at all MuJoCo's iteration for the discrete integrator's metric ends in 0/0 now and then
+    xml = xml.replace(' tolerance="0"', ' tolerance="1e-30"')
     return MujocoDynamics.from_xml(xml, jacobian="inverse", threads=1, **options)
 
 

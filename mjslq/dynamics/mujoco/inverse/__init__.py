@@ -5,6 +5,7 @@ spatial, algebra    spatial vectors, small dense matrices
 rigid               the rigid bodies' inverse dynamics and their derivatives
 forces              springs, dampers, actuators
 constraints, contacts, geometry, differences    constraint rows: in closed form, or by differences of positions
+metric, impedance, weights    what the discrete integrator does to the inertia and to the rows
 sensors, outputs    C and D
 cover, plan, layout, job, columns    which models are covered; what the kernel is told about one
 jacobians           the engine's side

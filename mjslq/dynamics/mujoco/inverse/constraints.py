@@ -25,8 +25,9 @@ from numba import types
 
 from mjslq.dynamics.mujoco.inverse.columns import BOX, CAPSULE, MESH, PLANE, SPHERE
 from mjslq.dynamics.mujoco.inverse.contacts import add_contact
+from mjslq.dynamics.mujoco.inverse.impedance import fold_references
 from mjslq.dynamics.mujoco.inverse.job import entry_address, entry_count, flags, integers, matrix, vector
-from mjslq.dynamics.mujoco.inverse.spatial import compiled
+from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
 from mjslq.dynamics.mujoco.kernels import _address, _void
 
 _step = _void(_address, _address)
@@ -51,7 +52,7 @@ def find_rows(job):
     if job.ntendon > 0:
         mj_tendon(job.model, job.data)
     mj_collision(job.model, job.data)
-    mj_makeConstraint(job.model, job.data)
+    mj_makeConstraint(job.row_model, job.data)
     return entry_count(job.data + job.at_nefc)
 
 
@@ -63,7 +64,7 @@ def evaluate_rows(job, acc, with_cones):
     """
     if job.bodies_tied:
         mj_comVel(job.model, job.data)
-    mj_referenceConstraint(job.model, job.data)
+    refer_rows(job)
     rows = entry_count(job.data + job.at_nefc)
     jar_address = entry_address(job.data + job.at_efc_vel)
     mj_mulJacVec(job.model, job.data, jar_address, acc.ctypes.data)
@@ -71,6 +72,14 @@ def evaluate_rows(job, acc, with_cones):
     for r in range(rows):
         jar[r] -= aref[r]
     mj_constraintUpdate(job.model, job.data, jar_address, 0, with_cones)
+
+
+@compiled
+def refer_rows(job):
+    """Find J v and aref."""
+    mj_referenceConstraint(job.row_model, job.data)
+    if job.implicit == 3:
+        fold_references(job)
 
 
 @compiled
@@ -132,7 +141,8 @@ def add_rows(job, acc, F, G):
     margin = vector(entry_address(job.data + job.at_efc_margin), rows)
     jar = vector(entry_address(job.data + job.at_efc_vel), rows)
     dofs, values = integers(job.dofs, job.nv), vector(job.values, job.nv)
-    nv, rest, r = job.nv, False, 0
+    nv, rest = job.nv, False
+    r = types.int64(0)  # a literal zero would have all that it is passed to compiled once more
     while r < rows:
         kind = kinds[r]
         if kind == ELLIPTIC and states[r] == CONE:
@@ -176,13 +186,19 @@ def _add_curvature(job, index, D, b, jar, acc, dofs, values, F):
     dof = integers(job.eq_dof, job.neq)[index]
     if dof < 0:
         return
-    prm = matrix(job.eq_prm, job.neq, 6)[index]
-    x = vector(job.qpos, job.nq)[integers(job.dof_qadr, job.nv)[dof]] - prm[5]
-    bend = -(2.0 * prm[2] + x * (6.0 * prm[3] + x * 12.0 * prm[4]))
+    bend = bend_of_joint(job, index, dof)
     change = bend * (acc[dof] + b * vector(job.qvel, job.nv)[dof])
     for k in range(dofs.shape[0]):
         F[dofs[k], dof] -= D * values[k] * change
     F[dof, dof] -= bend * D * jar
+
+
+@inlined
+def bend_of_joint(job, index, dof):
+    """Return -P''(x) of a joint equality constraint."""
+    prm = matrix(job.eq_prm, job.neq, 6)[index]
+    x = vector(job.qpos, job.nq)[integers(job.dof_qadr, job.nv)[dof]] - prm[5]
+    return -(2.0 * prm[2] + x * (6.0 * prm[3] + x * 12.0 * prm[4]))
 
 
 @compiled

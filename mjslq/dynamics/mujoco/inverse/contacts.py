@@ -100,6 +100,27 @@ def _add_dof(job, r, size, kind, contact, i, sides, V_a, V_v, points, W, F):
             j = parent[j]
 
 
+@compiled
+def add_row_change(job, count, kind, contact, x, change):
+    """Add d(J x)/dq of a contact's first row to `change`."""
+    geoms = flags(contact + job.at_contact_geom, 2)
+    body, lastdof = integers(job.geom_bodyid, job.ngeom), integers(job.body_lastdof, job.nbody)
+    parent, member = integers(job.dof_parentid, job.nv), integers(job.member, job.nv)
+    before = matrix(job.before_a, job.nv, 6)
+    _directions(job, contact, kind, count)
+    E = row6(matrix(job.directions, 10, 6), 0)
+    V = _velocities(job, body[geoms[0]], body[geoms[1]], x, before)
+    points = _points(job, contact, body[geoms[0]], body[geoms[1]])
+    for side in range(2):
+        i = lastdof[body[geoms[side]]]
+        while i >= 0:
+            if side == 1 or member[i] == 1:
+                S = row6(matrix(job.cdof, job.nv, 6), i)
+                dp, _, phi = contact_motion(job, contact, S, member[i])
+                change[i] += dot6(E, _rate(S, row6(before, i), V, member[i], points, dp, phi))
+            i = parent[i]
+
+
 @inlined
 def _pushes(job, r, count):
     states = flags(entry_address(job.data + job.at_efc_state), r + count)

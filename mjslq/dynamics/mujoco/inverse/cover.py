@@ -119,6 +119,15 @@ def _busy_spatial_tendon(model: mujoco.MjModel) -> bool:
     return False
 
 
+def _beyond_the_metric(model: mujoco.MjModel) -> bool:
+    """Whether the discrete integrator meets forces that are no springs, dampers or servos with constant arms."""
+    if implicit_level(model) != 3:
+        return False
+    plain = np.isin(model.actuator_gaintype, _GAINS).all() and np.isin(model.actuator_biastype, _BIASES).all()
+    fluid = model.opt.density > 0 or model.opt.viscosity > 0
+    return bool(not plain or fluid or _odd_transmission(model) or _busy_spatial_tendon(model))
+
+
 def _branching_tendon(model: mujoco.MjModel) -> bool:
     """Whether a tendon across branches has armature, or nonlinear damping that an integrator takes implicitly."""
     table = tendons(model)
@@ -149,7 +158,6 @@ def _clipped_sum(model: mujoco.MjModel) -> bool:
 
 
 _REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
-    (lambda m: m.opt.integrator == INT.mjINT_DISCRETE, "the integrator is discrete"),
     (lambda m: m.nflex > 0, "it has flexes"),
     (
         lambda m: can_be_constrained(m) and m.opt.noslip_iterations > 0,
@@ -183,6 +191,7 @@ _REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
         "it has actuators whose moment arm or length is not that of a joint, fixed tendon or plain site",
     ),
     (_busy_spatial_tendon, "it has spatial tendons that act on the motion"),
+    (_beyond_the_metric, "the discrete integrator takes forces implicitly that have no closed form here"),
     (_branching_tendon, "it has tendons with armature or nonlinear damping between branches"),
     (lambda m: bool(np.any(m.tendon_actfrclimited)), "it has tendons with actuator force limits"),
     (

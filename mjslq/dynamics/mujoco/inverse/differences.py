@@ -20,11 +20,12 @@ from mjslq.dynamics.mujoco.inverse.constraints import (
     find_rows,
     is_differenced,
     mj_comVel,
-    mj_referenceConstraint,
     read_row,
+    refer_rows,
 )
 from mjslq.dynamics.mujoco.inverse.job import entry_address, entry_count, flags, integers, vector
 from mjslq.dynamics.mujoco.inverse.spatial import compiled
+from mjslq.dynamics.mujoco.inverse.weights import weigh_rows
 from mjslq.dynamics.mujoco.kernels import _address, _copy, _number, _void
 
 mj_kinematics = types.ExternalFunction("mj_kinematics", _void(_address, _address))
@@ -83,7 +84,7 @@ def _add_velocity_differences(job, marked, plus, minus, F):
 def _pulls_at_velocity(job, total):
     """Sum J' D aref of the differenced equality constraints at the velocity in mjData."""
     mj_comVel(job.model, job.data)
-    mj_referenceConstraint(job.model, job.data)
+    refer_rows(job)
     rows = entry_count(job.data + job.at_nefc)
     kinds = flags(entry_address(job.data + job.at_efc_type), rows)
     ids = flags(entry_address(job.data + job.at_efc_id), rows)
@@ -108,6 +109,8 @@ def _evaluate_pose(job, x, way, eps, acc):
     mj_kinematics(job.model, job.data)
     mj_comPos(job.model, job.data)
     if find_rows(job) > 0:
+        if job.implicit == 3:
+            weigh_rows(job)
         evaluate_rows(job, acc, 0)
 
 

@@ -15,7 +15,7 @@ from mjslq.dynamics.mujoco import kernels
 from mjslq.dynamics.mujoco.inverse.job import INDICES, JOB, VIEWS, WORK
 from mjslq.dynamics.mujoco.inverse.layout import offsets
 from mjslq.dynamics.mujoco.inverse.outputs import sensors
-from mjslq.dynamics.mujoco.inverse.plan import arrays, plan
+from mjslq.dynamics.mujoco.inverse.plan import arrays, plan, row_model
 from mjslq.dynamics.mujoco.library import copied
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ class InverseJacobians:
         self._table = (
             plan(horizon.model) | arrays(sensors(horizon.model)) | arrays({"eps": eps, "centered": int(centered)})
         )
+        self._row_model = row_model(horizon.model)
         self._work = [self._workspace() for _ in range(horizon.workers.count)]
         self._blank = self._blank_jobs()
 
@@ -58,7 +59,7 @@ class InverseJacobians:
     def _blank_jobs(self) -> np.ndarray[Any, Any]:
         """A job for each worker, with all that is the same at every call filled in."""
         jobs = np.zeros(len(self._work), JOB)
-        jobs["model"] = self._horizon.model._address
+        jobs["model"], jobs["row_model"] = self._horizon.model._address, self._row_model._address
         for name, value in self._table.items():
             jobs[name] = value.ctypes.data if value.ndim else value
         for name, at in offsets().items():

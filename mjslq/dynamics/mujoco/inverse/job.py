@@ -8,6 +8,7 @@ Notation
 Entries of a job, arrays by address:
 
     SIZES                counts and switches
+    OBJECTS              mjModel, the one that constraint rows are made with (`plan.row_model`), mjData
     INTEGERS, NUMBERS    what the plan (`plan`) found out about the model, constant
     VIEWS                arrays of mjData, filled by MuJoCo's own functions at each knot
     WORK                 arrays for intermediate results, one set per worker
@@ -30,8 +31,9 @@ SIZES = (
     "N", "first", "last", "nq", "nv", "na", "nu", "ny", "columns", "nbody", "ngeom", "nsite", "nspring", "nball",
     "ntendon", "nten_coef", "nact_coef", "nquat", "implicit", "gyroscopic", "compensated", "constrained", "neq",
     "bodies_tied",
-    "nsensor", "sensors_differenced", "sparse", "centered",
+    "nsensor", "sensors_differenced", "sparse", "centered", "coupled", "bends", "refsafe",
 )  # fmt: skip
+OBJECTS = ("model", "row_model", "data")
 INTEGERS = (
     "body_parentid", "body_rootid", "body_dofadr", "body_dofnum", "body_lastdof", "dof_bodyid", "dof_parentid",
     "dof_group", "dof_groupend", "dof_qadr", "dof_gyroscopic", "spring_dof", "spring_qadr", "ball_dof", "ball_qadr",
@@ -42,6 +44,7 @@ INTEGERS = (
 NUMBERS = (
     "dof_armature", "dof_damping", "dof_force_range", "body_gravcomp", "spring_prm", "ball_prm", "ten_coef", "ten_prm",
     "act_coef", "act_prm", "act_gear", "gravity", "geom_radius", "geom_size", "sen_prm", "eq_prm", "body_subtreemass",
+    "jnt_solref", "ten_solref",
 )  # fmt: skip
 VIEWS = (
     "qpos", "qvel", "act", "ctrl", "qacc", "cdof", "cinert", "subtree_com", "site_xpos", "site_xmat", "geom_xpos",
@@ -55,17 +58,15 @@ WORK: dict[str, tuple[int | str, int | str]] = {
     "E": ("nv", "columns"), "mixed": ("nv", "columns"), "acc_d": ("nv", 1), "acc_c": ("nv", 1), "change": ("nv", 1),
     "small": (24, 1), "jacobian": (10, "nv"), "directions": (10, 6), "djar": (10, 1), "before_a": ("nv", 6),
     "before_v": ("nv", 6), "values": ("nv", 1), "plus": ("nv", 1), "minus": ("nv", 1),
+    "metric_slope": ("nv", "columns"), "mass_change": ("nv", "nv"), "row_change": ("columns", 1),
 }  # fmt: skip
 """Shapes of the arrays for intermediate results."""
-INDICES = ("dofs", "chain", "marked", "member")
+INDICES = ("dofs", "chain", "marked", "member", "spinning")
 """Arrays of nv integers for intermediate results."""
 RESULTS = ("X", "U", "ends", "A", "B", "C", "D")
 OFFSETS = tuple(f"at_{name}" for name in ARENA + COUNTS + tuple(f"contact_{name}" for name in (*CONTACT, "size")))
 JOB = np.dtype(
-    [
-        (name, np.int64)
-        for name in (*SIZES, "model", "data", *INTEGERS, *NUMBERS, *VIEWS, *WORK, *INDICES, *RESULTS, *OFFSETS)
-    ]
+    [(name, np.int64) for name in (*SIZES, *OBJECTS, *INTEGERS, *NUMBERS, *VIEWS, *WORK, *INDICES, *RESULTS, *OFFSETS)]
     + [("h", np.float64), ("eps", np.float64)]
 )
 """One row of this per worker."""

@@ -21,6 +21,11 @@ because d(M^ a_d)/dz = d(M a_d)/dz - E + M^ da_d/dz; and with them, with H = -ds
     (M + J' H J) da_c/dz = F - dtau/dz + (d(J' s)/dz at fixed a_c)            at a = a_c,
     M^ da_d/dz = M da_c/dz + d(M x)/dz at x = a_c - a_d, + E.
 
+The discrete integrator's step M~ a = f - h K v - c + J' s (M~: `metric`) has one acceleration, a = a_d = a_c, and
+
+    (M~ + J' H J) da/dz = F - dtau/dz + E + (d(J' s)/dz at fixed a)            at a = a_d,
+
+with rows of its own (`impedance`, `weights`); + h dc/dv on free bodies without joints that no row touches.
 Then dv_next = dv + h da_d, and the positions follow from q_next = q (+) h v_next. Nothing is solved by iteration and
 no step is repeated, so the derivatives do not see the constraint solver's noise.
 """
@@ -37,7 +42,7 @@ from numba import types
 
 from mjslq.dynamics.mujoco.inverse.algebra import add_product, factorize, solve
 from mjslq.dynamics.mujoco.inverse.columns import ARMATURE, TENDON_NUMBERS
-from mjslq.dynamics.mujoco.inverse.constraints import add_rows, evaluate_rows, find_rows
+from mjslq.dynamics.mujoco.inverse.constraints import add_rows, evaluate_rows, find_rows, read_row
 from mjslq.dynamics.mujoco.inverse.differences import add_differences, mj_comPos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.forces import (
     activate,
@@ -48,7 +53,9 @@ from mjslq.dynamics.mujoco.inverse.forces import (
     add_springs,
     add_tendons,
 )
+from mjslq.dynamics.mujoco.inverse.impedance import present_rows
 from mjslq.dynamics.mujoco.inverse.job import JOB, integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.metric import add_metric
 from mjslq.dynamics.mujoco.inverse.rigid import (
     add_compensation_derivative,
     add_mass_derivative,
@@ -59,6 +66,7 @@ from mjslq.dynamics.mujoco.inverse.rigid import (
 )
 from mjslq.dynamics.mujoco.inverse.sensors import difference_sensors, write_sensors
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
+from mjslq.dynamics.mujoco.inverse.weights import add_weight_changes, weigh_rows
 from mjslq.dynamics.mujoco.kernels import (
     _address,
     _compiled,
@@ -88,6 +96,13 @@ def _assign(A, B):
             A[i, j] = B[i, j]
 
 
+@inlined
+def _add(A, B):
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            A[i, j] += B[i, j]
+
+
 @compiled
 def _smooth_forces(job):
     """F, T and E of all smooth forces at the state and control in mjData, for the step's acceleration acc_d."""
@@ -111,8 +126,25 @@ def _smooth_forces(job):
     add_site_actuators(job, F)
     if job.compensated:
         add_compensation_derivative(job, F)
+    if job.implicit == 3:
+        add_metric(job, acc_d, F, T, E)
     if job.gyroscopic:
         _gyroscopic(job)
+
+
+@compiled
+def _find_spinning(job, rows):
+    """Mark the dofs with gyroscopic terms; the discrete integrator has none on bodies that a row touches."""
+    spinning, tree = integers(job.spinning, job.nv), integers(job.dof_treeid, job.nv)
+    dofs, values, given = integers(job.dofs, job.nv), vector(job.values, job.nv), integers(job.dof_gyroscopic, job.nv)
+    for i in range(job.nv):
+        spinning[i] = given[i]
+    if job.implicit == 3:
+        for r in range(rows):
+            for k in range(read_row(job, r, dofs, values)):
+                for i in range(job.nv):
+                    if tree[i] == tree[dofs[k]]:
+                        spinning[i] = 0
 
 
 @compiled
@@ -122,7 +154,7 @@ def _gyroscopic(job):
     c is a quadratic form in v, so that (dc/dv) a is half the difference of c(v + a) and c(v - a), exactly, and its
     derivatives half the difference of theirs.
     """
-    marked = integers(job.dof_gyroscopic, job.nv)
+    marked = integers(job.spinning, job.nv)
     qvel, acc_d, vel, acc = (
         vector(job.qvel, job.nv), vector(job.acc_d, job.nv), vector(job.change, job.nv), vector(job.acc_c, job.nv)
     )  # fmt: skip
@@ -179,6 +211,10 @@ def _inertia(job):
                 M_hat[i, j] -= job.h * T[i, j]
                 M_hat[j, i] -= job.h * T[j, i]
                 j = dof_parentid[j]
+    if job.implicit == 3:
+        for i in range(job.nv):
+            for j in range(job.nv):
+                M_hat[i, j] -= job.h * T[i, j]
     if job.gyroscopic:
         for i in range(job.nv):
             for j in range(job.nv):
@@ -202,9 +238,7 @@ def _smooth_step(job):
     acc_d = vector(job.acc_d, job.nv)
     _rigid_bodies(job, acc_d)
     _inertia(job)
-    for i in range(F.shape[0]):
-        for c in range(F.shape[1]):
-            F[i, c] += E[i, c]
+    _add(F, E)
     fine = factorize(M_hat)
     solve(M_hat, F)
     return fine
@@ -216,25 +250,32 @@ def _constrained_step(job, x):
     M, M_hat, G = matrix(job.M, job.nv, job.nv), matrix(job.M_hat, job.nv, job.nv), matrix(job.G, job.nv, job.nv)
     F, E = matrix(job.F, job.nv, job.columns), matrix(job.E, job.nv, job.columns)
     mixed, T = matrix(job.mixed, job.nv, job.columns), matrix(job.T, job.nv, job.nv)
-    acc_c, acc_d = matrix(job.acc_c, job.nv, 1), vector(job.acc_d, job.nv)
+    acc_c, acc_d = vector(job.acc_c, job.nv), vector(job.acc_d, job.nv)
     nv = job.nv
     mass_matrix(job, M)
     _inertia(job)
     fine = _continuous_acceleration(job, M, M_hat, G)
-    evaluate_rows(job, acc_c[:, 0], 1)
+    if job.implicit == 3:
+        weigh_rows(job)
+    evaluate_rows(job, acc_c, 1)
     _assign(G, M)
-    if add_rows(job, acc_c[:, 0], F, G):
-        add_differences(job, x, acc_c[:, 0], F)
-    outward(job, vector(job.qvel, nv), acc_c[:, 0])
+    if job.implicit == 3:
+        _assign(G, M_hat)
+        _add(F, E)
+        present_rows(job)
+        add_weight_changes(job, F)
+    if add_rows(job, acc_c, F, G):
+        add_differences(job, x, acc_c, F)
+    outward(job, vector(job.qvel, nv), acc_c)
     inward(job)
     subtract_derivatives(job, F, T)
     fine = factorize(G) and fine
     solve(G, F)
-    if job.implicit == 0:
+    if job.implicit == 0 or job.implicit == 3:
         return fine
     change = vector(job.change, nv)
     for i in range(nv):
-        change[i] = acc_c[i, 0] - acc_d[i]
+        change[i] = acc_c[i] - acc_d[i]
         for c in range(job.columns):
             mixed[i, c] = E[i, c]
     add_product(M, F, mixed)
@@ -251,7 +292,7 @@ def _continuous_acceleration(job, M, M_hat, G):
     acc_c, acc_d = matrix(job.acc_c, job.nv, 1), vector(job.acc_d, job.nv)
     for i in range(job.nv):
         acc_c[i, 0] = acc_d[i]
-    if job.implicit == 0:
+    if job.implicit == 0 or job.implicit == 3:
         return True
     for i in range(job.nv):
         acc_c[i, 0] = 0.0
@@ -332,6 +373,8 @@ def _linearize_knot(job, x, v_next, A, B):
     for i in range(job.nv):
         acc_d[i] = (v_next[i] - x[job.nq + i]) / job.h
     rows = find_rows(job) if job.constrained else 0
+    if job.gyroscopic:
+        _find_spinning(job, rows)
     _smooth_forces(job)
     fine = _smooth_step(job) if rows == 0 else _constrained_step(job, x)
     _write_step(job, v_next, A, B)

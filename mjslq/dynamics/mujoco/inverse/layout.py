@@ -16,10 +16,10 @@ import mujoco
 
 ARENA = (
     "contact", "efc_type", "efc_id", "efc_state", "efc_J_rownnz", "efc_J_rowadr", "efc_J_colind",
-    "efc_J", "efc_pos", "efc_margin", "efc_KBIP", "efc_D", "efc_force", "efc_aref", "efc_vel",
+    "efc_J", "efc_pos", "efc_margin", "efc_KBIP", "efc_D", "efc_R", "efc_force", "efc_aref", "efc_vel",
 )  # fmt: skip
 COUNTS = ("ncon", "nefc")
-CONTACT = ("dist", "pos", "frame", "friction", "H", "dim", "geom", "efc_address")
+CONTACT = ("dist", "pos", "frame", "friction", "H", "dim", "geom", "efc_address", "solref")
 
 _VALUES = {
     "int": ctypes.c_int,

@@ -7,6 +7,7 @@ moment arms, limits that are infinite where there are none.
 
 from __future__ import annotations
 
+import copy
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,7 +24,7 @@ def whole(kind: Any) -> SimpleNamespace:
 
 JOINT, TRN, DYN = whole(mujoco.mjtJoint), whole(mujoco.mjtTrn), whole(mujoco.mjtDyn)
 GAIN, BIAS, INT = whole(mujoco.mjtGain), whole(mujoco.mjtBias), whole(mujoco.mjtIntegrator)
-GEOM = whole(mujoco.mjtGeom)
+GEOM, SOLVER = whole(mujoco.mjtGeom), whole(mujoco.mjtSolver)
 OFF, ON, WRAP, EQ = (
     whole(mujoco.mjtDisableBit), whole(mujoco.mjtEnableBit), whole(mujoco.mjtWrap), whole(mujoco.mjtEq)
 )  # fmt: skip
@@ -34,7 +35,9 @@ Table = dict[str, np.ndarray[Any, Any]]
 
 
 def implicit_level(model: mujoco.MjModel) -> int:
-    """What the integrator takes implicitly: 0 nothing, 1 the joints' damping, 2 all smooth columns."""
+    """What the integrator takes implicitly: 0 nothing, 1 the joints' damping, 2 all damping, 3 stiffness as well."""
+    if model.opt.integrator == INT.mjINT_DISCRETE:
+        return 3
     if model.opt.integrator != INT.mjINT_EULER:
         return 2
     damped = not disabled(model, OFF.mjDSBL_EULERDAMP) and bool(dampers(model).any())
@@ -61,6 +64,7 @@ def plan(model: mujoco.MjModel) -> Table:
     table["constrained"], table["sparse"] = int(can_be_constrained(model)), int(mujoco.mj_isSparse(model))
     table |= _geoms(model)
     table |= _groups(model) | _springs(model) | tendons(model) | _actuators(model) | _gyroscopic(model)
+    table |= _metric(model, table)
     return arrays(table)
 
 
@@ -303,12 +307,41 @@ def _moment(model: mujoco.MjModel, i: int) -> tuple[Any, Any]:
     return np.zeros(0, np.int64), np.zeros(0)
 
 
+def _metric(model: mujoco.MjModel, table: dict[str, Any]) -> dict[str, Any]:
+    """What the discrete integrator needs besides: which terms enter its metric, and which of them change."""
+    nonlinear = [
+        table["dof_damping"][:, 1:], table["spring_prm"][:, 2:], table["ball_prm"][:, 5:],
+        table["ten_prm"][:, columns.STIFFNESS + 1 : columns.STIFFNESS + 3],
+        table["ten_prm"][:, columns.DAMPING + 1 : columns.DAMPING + 3],
+        table["act_prm"][:, columns.GAIN + 1 : columns.GAIN + 3],
+    ]  # fmt: skip
+    return {
+        "coupled": int(model.opt.solver != SOLVER.mjSOL_PGS), "bends": int(any(part.any() for part in nonlinear)),
+        "refsafe": int(not disabled(model, OFF.mjDSBL_REFSAFE)),
+        "jnt_solref": model.jnt_solref, "ten_solref": model.tendon_solref_lim,
+    }  # fmt: skip
+
+
+def row_model(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Model to make constraint rows with.
+
+    Under the discrete integrator MuJoCo leaves the rows' weights open until late in the step; so there they are made
+    as for another integrator, and completed by `weights`.
+    """
+    if model.opt.integrator != INT.mjINT_DISCRETE:
+        return model
+    plain = copy.copy(model)
+    plain.opt.integrator = INT.mjINT_EULER
+    plain.opt.disableflags |= OFF.mjDSBL_REFSAFE
+    return plain
+
+
 def _gyroscopic(model: mujoco.MjModel) -> dict[str, Any]:
     """Dofs whose bias forces the integrator takes implicitly."""
     marked = np.zeros(model.nv, np.int64)
     if model.opt.integrator == INT.mjINT_IMPLICIT:
         marked[:] = 1
-    elif model.opt.integrator == INT.mjINT_IMPLICITFAST:
+    elif model.opt.integrator in (INT.mjINT_IMPLICITFAST, INT.mjINT_DISCRETE):
         for j in np.flatnonzero(model.jnt_type == JOINT.mjJNT_FREE):
             first = model.jnt_dofadr[j]
             if not (model.dof_parentid[first + 6 :] == first + 5).any():
