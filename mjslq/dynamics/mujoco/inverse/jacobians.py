@@ -15,6 +15,7 @@ from mjslq.dynamics.mujoco.inverse.job import INDICES, JOB, VIEWS, WORK
 from mjslq.dynamics.mujoco.inverse.layout import offsets
 from mjslq.dynamics.mujoco.inverse.outputs import sensors
 from mjslq.dynamics.mujoco.inverse.plan import arrays, plan
+from mjslq.dynamics.mujoco.inverse.remainder import covered_part, remainder, rest_part, rest_table
 from mjslq.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -28,8 +29,11 @@ class InverseJacobians:
 
     def __init__(self, horizon: Horizon, eps: float, centered: bool):
         self._horizon = horizon
-        self._table = (
-            plan(horizon.model) | arrays(sensors(horizon.model)) | arrays({"eps": eps, "centered": int(centered)})
+        model = horizon.model
+        rest = remainder(model)
+        self._rest = rest_part(model, rest) if rest.exists else None
+        self._table = plan(covered_part(model, rest)) | arrays(
+            sensors(model) | rest_table(model, rest) | {"eps": eps, "centered": int(centered)}
         )
         self._work = [self._workspace() for _ in range(horizon.workers.count)]
         self._offsets = {"at_" + name.replace(".", "_"): at for name, at in offsets().items()}
@@ -48,6 +52,9 @@ class InverseJacobians:
         jobs = np.zeros(len(chunks) - 1, JOB)
         jobs["N"], jobs["first"], jobs["last"] = N, chunks[:-1], chunks[1:]
         jobs["model"] = horizon.model._address
+        jobs["rest_model"] = self._rest._address if self._rest else 0
+        for name in ("ten_J_rownnz", "ten_J_rowadr", "ten_J_colind"):
+            jobs[name] = getattr(horizon.model, name).ctypes.data
         arrays = {**result._asdict(), "X": np.ascontiguousarray(trajectory.X), "U": np.ascontiguousarray(trajectory.U)}
         for name, value in {**self._table, **self._offsets, **arrays}.items():
             jobs[name] = value.ctypes.data if np.ndim(value) else value

@@ -39,6 +39,7 @@ from mjslq.dynamics.mujoco.inverse.algebra import add_product, factorize, solve
 from mjslq.dynamics.mujoco.inverse.columns import ARMATURE, TENDON_NUMBERS
 from mjslq.dynamics.mujoco.inverse.constraints import add_rows, evaluate_rows, find_rows
 from mjslq.dynamics.mujoco.inverse.differences import add_differences, mj_comPos, mj_kinematics
+from mjslq.dynamics.mujoco.inverse.force_differences import add_force_differences
 from mjslq.dynamics.mujoco.inverse.forces import (
     activate,
     actuate,
@@ -295,6 +296,13 @@ def _write_step(job, v_next, A, B):
         if k >= 0:
             A[2 * nv + k, 2 * nv + k] = next_act[i, 1]
             B[2 * nv + k, i] = next_act[i, 0]
+    following, rows = integers(job.rest_next, job.nrest_next), matrix(job.rest_rows, job.na, job.columns)
+    for n in range(following.shape[0]):
+        k = following[n]
+        for c in range(ndx):
+            A[2 * nv + k, c] = rows[k, c]
+        for c in range(job.nu):
+            B[2 * nv + k, c] = rows[k, ndx + c]
 
 
 @compiled
@@ -333,6 +341,8 @@ def _linearize_knot(job, x, v_next, A, B):
         acc_d[i] = (v_next[i] - x[job.nq + i]) / job.h
     rows = find_rows(job) if job.constrained else 0
     _smooth_forces(job)
+    if job.rest_model != 0:
+        add_force_differences(job, x)
     fine = _smooth_step(job) if rows == 0 else _constrained_step(job, x)
     _write_step(job, v_next, A, B)
     if not fine:
