@@ -11,6 +11,7 @@ from collections.abc import Callable
 import mujoco
 
 from mjslq.dynamics.mujoco.inverse import columns
+from mjslq.dynamics.mujoco.inverse.fluid_plan import in_fluid
 from mjslq.dynamics.mujoco.inverse.outputs import TYPES, sensors
 from mjslq.dynamics.mujoco.inverse.plan import (
     EQ,
@@ -77,7 +78,7 @@ def _forces(model: mujoco.MjModel) -> list[tuple[str, str]]:
         )
         if which.any()
     ]
-    rows += [("fluid", _OWN)] if rest.fluid else []
+    rows += [("fluid", "analytic")] if in_fluid(model) else []
     return rows + ([("gravity compensation", _OWN)] if rest.lifted else [])
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from numba import types
 
-from mjslq.dynamics.mujoco.inverse.constraints import find_rows, mj_comVel, mj_tendon
+from mjslq.dynamics.mujoco.inverse.constraints import find_rows, mj_tendon
 from mjslq.dynamics.mujoco.inverse.differences import mj_comPos, mj_integratePos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.job import integers, matrix, vector
 from mjslq.dynamics.mujoco.inverse.spatial import compiled
@@ -159,9 +159,7 @@ def _evaluate(job, x, kind, out):
 
 @compiled
 def _measure_velocities(job):
-    """Velocities of bodies, tendons and actuators."""
-    if job.rest_moves:
-        mj_comVel(job.model, job.data)
+    """Velocities of tendons and actuators."""
     if job.ntendon > 0:
         mju_mulMatVecSparse(
             job.ten_velocity, job.ten_J, job.qvel, types.int32(job.ntendon),

@@ -31,8 +31,8 @@ SIZES = (
     "ntendon", "nten_coef", "nact_coef", "nquat", "implicit", "gyroscopic", "compensated", "constrained", "neq",
     "bodies_tied",
     "nsensor", "sensors_differenced", "sparse", "centered",
-    "nrest_q", "nrest_v", "nrest_act", "nrest_u", "nrest_next", "rest_passive", "rest_moves", "rest_acts",
-    "rest_touches", "rest_model", "nout", "nD", "symmetric", "ten_J_rownnz", "ten_J_rowadr", "ten_J_colind",
+    "nrest_q", "nrest_v", "nrest_act", "nrest_u", "nrest_next", "rest_passive", "rest_acts",
+    "nfluid", "rest_touches", "rest_model", "nout", "nD", "symmetric", "ten_J_rownnz", "ten_J_rowadr", "ten_J_colind",
 )  # fmt: skip
 INTEGERS = (
     "body_parentid", "body_rootid", "body_dofadr", "body_dofnum", "body_lastdof", "dof_bodyid", "dof_parentid",
@@ -41,16 +41,17 @@ INTEGERS = (
     "act_body", "quat_dof", "geom_bodyid", "geom_kind", "dof_treeid", "jnt_scalar",
     "sen_kind", "sen_adr", "sen_target", "sen_body", "sen_reference", "eq_joint", "eq_dof",
     "rest_q", "rest_v", "rest_act", "rest_u", "rest_next", "D_rownnz", "D_rowadr", "D_colind", "ten_constant",
+    "fluid_body", "fluid_geom",
 )  # fmt: skip
 NUMBERS = (
     "dof_armature", "dof_damping", "dof_force_range", "body_gravcomp", "spring_prm", "ball_prm", "ten_coef", "ten_prm",
     "act_coef", "act_prm", "act_gear", "gravity", "geom_radius", "geom_size", "sen_prm", "eq_prm", "body_subtreemass",
-    "act_muscle", "ctrl_range",
+    "act_muscle", "ctrl_range", "fluid_prm", "wind",
 )  # fmt: skip
 VIEWS = (
     "qpos", "qvel", "act", "ctrl", "qacc", "cdof", "cinert", "subtree_com", "site_xpos", "site_xmat", "geom_xpos",
     "geom_xmat", "qacc_warmstart", "xpos", "xquat", "ten_J", "ten_velocity", "actuator_moment", "moment_rownnz",
-    "moment_rowadr", "moment_colind", "actuator_velocity", "qfrc_passive", "qfrc_actuator", "qDeriv",
+    "moment_rowadr", "moment_colind", "actuator_velocity", "qfrc_passive", "qfrc_actuator", "qDeriv", "xipos", "ximat",
 )  # fmt: skip
 WORK: dict[str, tuple[int | str, int | str]] = {
     "body_vel": ("nbody", 6), "body_acc": ("nbody", 6), "body_momentum": ("nbody", 6), "body_force": ("nbody", 6),
@@ -61,6 +62,8 @@ WORK: dict[str, tuple[int | str, int | str]] = {
     "small": (24, 1), "jacobian": (10, "nv"), "directions": (10, 6), "djar": (10, 1), "before_a": ("nv", 6),
     "before_v": ("nv", 6), "values": ("nv", 1), "plus": ("nv", 1), "minus": ("nv", 1),
     "rest_plus": ("columns", 1), "rest_minus": ("columns", 1), "rest_rows": ("na", "columns"),
+    "fluid_K": ("nbody", 36), "fluid_hat": ("nbody", 36), "fluid_bend": ("nbody", 36), "fluid_W": ("nbody", 6),
+    "fluid_U": ("nbody", 6), "fluid_X": (6, 6), "fluid_B": (18, 6), "fluid_local": (4, 6), "fluid_complex": (16, 6),
 }  # fmt: skip
 """Shapes of the arrays for intermediate results."""
 INDICES = ("dofs", "chain", "marked", "member")

@@ -39,6 +39,7 @@ from mjslq.dynamics.mujoco.inverse.algebra import add_product, factorize, solve
 from mjslq.dynamics.mujoco.inverse.columns import ARMATURE, TENDON_NUMBERS
 from mjslq.dynamics.mujoco.inverse.constraints import add_rows, evaluate_rows, find_rows
 from mjslq.dynamics.mujoco.inverse.differences import add_differences, mj_comPos, mj_kinematics
+from mjslq.dynamics.mujoco.inverse.fluid import add_fluid
 from mjslq.dynamics.mujoco.inverse.force_differences import add_force_differences
 from mjslq.dynamics.mujoco.inverse.forces import (
     activate,
@@ -114,6 +115,8 @@ def _smooth_forces(job):
         add_compensation_derivative(job, F)
     if job.gyroscopic:
         _gyroscopic(job)
+    if job.nfluid > 0:
+        add_fluid(job, acc_d, F, T, E)
 
 
 @compiled

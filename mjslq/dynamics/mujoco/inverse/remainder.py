@@ -4,7 +4,7 @@ Forces add up, so that a model can be split in two: in one copy what has no clos
 makes the kernel's tables of that; in the other everything else is, and `force_differences` differentiates what is
 left. Only parts that act on the motion count. Without a closed form are
 
-    fluids;  spatial tendons;  tendons across branches whose damping is nonlinear and taken implicitly;
+    spatial tendons;  tendons across branches whose damping is nonlinear and taken implicitly;
     nonlinear springs of free joints;
     actuators with several inputs or outputs, with gain, bias or dynamics other than `GAINS`, `BIASES`, `DYNAMICS`, with
     a length or moment arm that is not a joint's, a fixed tendon's or a plain site's, on tendons with a force limit;
@@ -25,7 +25,6 @@ from mjslq.dynamics.mujoco.inverse.plan import (
     BIAS,
     DYN,
     GAIN,
-    INT,
     JOINT,
     ON_JOINTS,
     SCALAR,
@@ -48,9 +47,8 @@ Mask = np.ndarray[Any, Any]
 
 @dataclass(frozen=True)
 class Remainder:
-    """Parts of a model whose forces have no closed form: masks of its tendons, joints, actuators, and two switches."""
+    """Parts of a model whose forces have no closed form: masks of its tendons, joints and actuators, and a switch."""
 
-    fluid: bool
     lifted: bool
     """Whether gravity compensation takes part in forces that joints clip."""
     tendons: Mask
@@ -60,7 +58,7 @@ class Remainder:
     @property
     def is_passive(self) -> bool:
         """Whether forces other than the actuators' are among them."""
-        return bool(self.fluid or self.lifted or self.tendons.any() or self.joints.any())
+        return bool(self.lifted or self.tendons.any() or self.joints.any())
 
     @property
     def exists(self) -> bool:
@@ -74,7 +72,6 @@ def remainder(model: mujoco.MjModel) -> Remainder:
     lifted &= bool(model.body_gravcomp.any())
     nonlinear = model.jnt_stiffnesspoly.any(axis=1)
     return Remainder(
-        fluid=bool(model.opt.density > 0 or model.opt.viscosity > 0),
         lifted=bool(lifted.any()),
         tendons=np.array([_is_open(model, t) for t in range(model.ntendon)], bool),
         joints=nonlinear & (model.jnt_type == JOINT.mjJNT_FREE),
@@ -209,7 +206,6 @@ def _relative_dofs(model: mujoco.MjModel, bodies: list[int]) -> set[int]:
 def covered_part(model: mujoco.MjModel, rest: Remainder) -> mujoco.MjModel:
     """Copy of the model without the forces that have no closed form."""
     part = copy.copy(model)
-    part.opt.density = part.opt.viscosity = 0.0
     _slacken(part, rest.tendons)
     _loosen(part, rest.joints)
     _still(part, rest.actuators)
@@ -226,6 +222,7 @@ def covered_part(model: mujoco.MjModel, rest: Remainder) -> mujoco.MjModel:
 def rest_part(model: mujoco.MjModel, rest: Remainder) -> mujoco.MjModel:
     """Copy of the model with no other smooth forces than those without a closed form."""
     part = copy.copy(model)
+    part.opt.density = part.opt.viscosity = 0.0
     _slacken(part, ~rest.tendons)
     _loosen(part, ~rest.joints)
     _still(part, ~rest.actuators)
@@ -260,26 +257,21 @@ def _still(model: mujoco.MjModel, which: Mask) -> None:
 
 def rest_table(model: mujoco.MjModel, rest: Remainder) -> dict[str, Any]:
     """What the kernel varies to differentiate the forces of the rest, and what it evaluates for that."""
-    everywhere = set(range(model.nv))
-    positions: set[int] = set()
-    velocities: set[int] = set()
-    if rest.fluid:
-        positions, velocities = everywhere - _shifts(model), everywhere
-    if rest.lifted:
-        positions = everywhere
+    positions: set[int] = set(range(model.nv)) if rest.lifted else set()
     for j in np.flatnonzero(rest.joints):
         positions = positions | set(range(model.jnt_dofadr[j], model.jnt_dofadr[j] + 6))
     moved = [touched_dofs(model, int(t)) for t in np.flatnonzero(rest.tendons)]
     moved += [driven_dofs(model, int(i)) for i in np.flatnonzero(rest.actuators)]
-    positions, velocities = positions.union(*moved), velocities.union(*moved)
+    velocities = set[int]().union(*moved)
+    positions |= velocities
     acts, controls, following = _signals(model, rest)
     return {
         "rest_q": _indices(positions), "nrest_q": len(positions), "rest_v": _indices(velocities),
         "nrest_v": len(velocities), "rest_act": acts, "nrest_act": len(acts), "rest_u": controls,
         "nrest_u": len(controls), "rest_next": following, "nrest_next": len(following),
-        "rest_passive": int(rest.is_passive), "rest_moves": int(rest.fluid), "rest_acts": int(rest.actuators.any()),
+        "rest_passive": int(rest.is_passive), "rest_acts": int(rest.actuators.any()),
         "rest_touches": int((model.actuator_trntype[rest.actuators] == TRN.mjTRN_BODY).any()),
-        "nout": model.nout, "symmetric": int(model.opt.integrator == INT.mjINT_IMPLICITFAST), "nD": model.nD,
+        "nout": model.nout, "nD": model.nD,
         "D_rownnz": model.D_rownnz, "D_rowadr": model.D_rowadr, "D_colind": model.D_colind,
         "ctrl_range": _control_ranges(model),
     }  # fmt: skip
@@ -287,17 +279,6 @@ def rest_table(model: mujoco.MjModel, rest: Remainder) -> dict[str, Any]:
 
 def _indices(found: set[int]) -> Any:
     return np.array(sorted(found), np.int64)
-
-
-def _shifts(model: mujoco.MjModel) -> set[int]:
-    """Dofs that shift a whole tree without turning anything: no fluid feels where it is."""
-    found: set[int] = set()
-    for i in range(model.nv):
-        kind, first = model.jnt_type[model.dof_jntid[i]], model.jnt_dofadr[model.dof_jntid[i]]
-        shifts = kind == JOINT.mjJNT_SLIDE or (kind == JOINT.mjJNT_FREE and i < first + 3)
-        if shifts and (model.dof_parentid[i] < 0 or int(model.dof_parentid[i]) in found):
-            found.add(i)
-    return found
 
 
 def _signals(model: mujoco.MjModel, rest: Remainder) -> tuple[Any, Any, Any]:
