@@ -6,7 +6,8 @@ Notation
     l = X (V - w)        velocity of a piece relative to the wind w, in the piece's own frame (angular part first)
     X                    from spatial vectors to that frame; V = sum S_i v_i, A = sum S_i a_i, V_i, A_i before i's group
     g(l)                 torque and force of the fluid in that frame (MuJoCo's documentation, "Fluid forces")
-    B = dg/dl            and B^, what an implicit integrator takes of it: B, made symmetric by implicitfast
+    B = dg/dl            and B^, what an implicit integrator takes of it: B but for a guard against division by zero
+                         that slow and small ellipsoids meet, made symmetric by implicitfast
     W = X' g, K = X' B X
 
 Turning a dof i changes l by X P_i, with P_i = (V_i - w) x S_i, and X A by X R_i, with R_i = A_i x S_i. So
@@ -24,6 +25,7 @@ from __future__ import annotations
 
 import math
 
+import mujoco
 import numba
 import numpy as np
 
@@ -51,6 +53,7 @@ _SHADOW, _MASS, _INERTIA, _ANGULAR = (
 )  # fmt: skip
 _MAGNUS, _KUTTA, _AREA, _WIDEST, _STOKES, _STOKES_TURN, _DENSITY = range(columns.FLUID_REST, columns.FLUID_REST + 7)
 _TINY, _STEP = 1e-290, 1e-20
+_GUARD = float(mujoco.mjMINVAL)
 _NOTHING = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -234,13 +237,16 @@ def _ellipsoid(job, prm, local, by_l, by_hat, by_bend):
     for r in range(6):
         x[r] = local[0, r]
     _force(prm, x, g)
-    for c in range(6 if job.implicit == 2 else 1):
+    _slope(prm, x, B, _TINY)
+    for r in range(6):
+        for k in range(6):
+            by_l[r, k] = B[r, k].real
+    for c in range(6 if job.implicit == 2 else 0):
         x[c] += 1j * _STEP
-        _slope(prm, x, B)
+        _slope(prm, x, B, _GUARD)
         x[c] = local[0, c]
         for r in range(6):
             for k in range(6):
-                by_l[r, k] = B[r, k].real
                 entry = 0.5 * (B[r, k] + B[k, r]) if job.symmetric == 1 else B[r, k]
                 by_hat[r, k] = entry.real
                 by_bend[r, c] += entry.imag / _STEP * local[1, k]
@@ -289,8 +295,8 @@ def _force(prm, x, g):
 
 
 @compiled
-def _slope(prm, x, B):
-    """B = dg/dx."""
+def _slope(prm, x, B, guard):
+    """B = dg/dx, the quadratic drag of turning divided by no less than `guard`."""
     w, v = x[0:3], x[3:6]
     near, far, square = _shadow(prm, v)
     speed, spin = np.sqrt(square), 0j
@@ -302,7 +308,8 @@ def _slope(prm, x, B):
     whole = (prm[_AREA] * area + prm[_WIDEST]) / _at_least(speed)
     spread = prm[_AREA] * speed * math.pi / _at_least(np.sqrt(near * near * near * far))
     lift = math.pi * prm[_KUTTA] / _at_least(np.sqrt(far * near * square))
-    turning = prm[_DENSITY] / _at_least(np.sqrt(spin))
+    swirl = np.sqrt(spin)
+    turning = prm[_DENSITY] / (swirl if abs(swirl) > guard else guard + 0j)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         B[i, j] += (prm[_INERTIA + j] - prm[_INERTIA + k]) * w[k]
