@@ -30,6 +30,7 @@ from mjslq.dynamics.mujoco.inverse.plan import (
 from mjslq.dynamics.mujoco.inverse.remainder import is_spatial, on_one_branch, remainder
 
 _OWN = "differences of their own forces"
+_ARMS = "analytic along moment arms that are differenced"
 _POSITIONS = "by position differences of positions alone"
 
 
@@ -72,9 +73,16 @@ def _forces(model: mujoco.MjModel) -> list[tuple[str, str]]:
     rows = [
         (what.format(which.sum()), _OWN)
         for what, which in (
-            ("springs and dampers of {} tendons", rest.tendons),
             ("springs of {} free joints", rest.joints),
             ("forces of {} actuators", rest.actuators),
+        )
+        if which.any()
+    ]
+    rows += [
+        (what.format(which.sum()), _ARMS)
+        for what, which in (
+            ("springs and dampers of {} tendons", rest.slack),
+            ("forces of {} other actuators" if rest.actuators.any() else "forces of {} actuators", rest.swinging),
         )
         if which.any()
     ]

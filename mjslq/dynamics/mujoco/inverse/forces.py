@@ -247,6 +247,8 @@ def actuate(job):
     act_input = matrix(job.act_input, job.nu, 3)
     act_force = matrix(job.act_force, job.nu, 8)
     act_muscle = matrix(job.act_muscle, job.nu, MUSCLE_NUMBERS)
+    act_arm = integers(job.act_arm, job.nu)
+    arm_motion = matrix(job.arm_motion, job.narm, 2)
     act_free = vector(job.act_free, job.nv)
     act_sum = vector(job.act_sum, job.nv)
     for j in range(job.nv):
@@ -260,6 +262,8 @@ def actuate(job):
             if dof_qadr[j] >= 0:
                 length += act_coef[k] * qpos[dof_qadr[j]]
             velocity += act_coef[k] * qvel[j]
+        if act_arm[i] >= 0:
+            length, velocity = arm_motion[act_arm[i], 0], arm_motion[act_arm[i], 1]
         x, gain_l, gain_v, bias_l, bias_v = act_input[i, 0], prm[GAIN + 1], prm[GAIN + 2], prm[BIAS + 1], prm[BIAS + 2]
         gain = prm[GAIN] + gain_l * length + gain_v * velocity
         bias = prm[BIAS] + bias_l * length + bias_v * velocity
@@ -296,8 +300,11 @@ def add_actuators(job, acc, F, T, E):
     act_input = matrix(job.act_input, job.nu, 3)
     act_force = matrix(job.act_force, job.nu, 8)
     act_free = vector(job.act_free, job.nv)
+    act_arm = integers(job.act_arm, job.nu)
     nv, na = job.nv, job.na
     for i in range(job.nu):
+        if act_arm[i] >= 0:
+            continue
         by_length, by_velocity, by_u, by_act = (
             act_force[i, 1],
             act_force[i, 2],
@@ -344,6 +351,7 @@ def add_site_actuators(job, F):
     act_adr = integers(job.act_adr, job.nu)
     act_site = integers(job.act_site, job.nu)
     act_body = integers(job.act_body, job.nu)
+    act_arm = integers(job.act_arm, job.nu)
     act_gear = matrix(job.act_gear, job.nu, 6)
     cdof = matrix(job.cdof, job.nv, 6)
     subtree_com = matrix(job.subtree_com, job.nbody, 3)
@@ -353,7 +361,7 @@ def add_site_actuators(job, F):
     nv, na = job.nv, job.na
     for i in range(job.nu):
         site = act_site[i]
-        if site < 0:
+        if site < 0 or act_arm[i] >= 0:
             continue
         body, R, gear = act_body[i], site_xmat[site], act_gear[i]
         push = _turn(R, gear[0], gear[1], gear[2])

@@ -11,6 +11,7 @@ import numpy as np
 
 from mjslq.dynamics._base import Linearization
 from mjslq.dynamics.mujoco import kernels
+from mjslq.dynamics.mujoco.inverse.arm_plan import arm_table
 from mjslq.dynamics.mujoco.inverse.fluid_plan import fluid_table
 from mjslq.dynamics.mujoco.inverse.job import INDICES, JOB, VIEWS, WORK
 from mjslq.dynamics.mujoco.inverse.layout import offsets
@@ -34,7 +35,11 @@ class InverseJacobians:
         rest = remainder(model)
         self._rest = rest_part(model, rest) if rest.exists else None
         self._table = plan(covered_part(model, rest)) | arrays(
-            sensors(model) | fluid_table(model) | rest_table(model, rest) | {"eps": eps, "centered": int(centered)}
+            sensors(model)
+            | fluid_table(model)
+            | arm_table(model, rest)
+            | rest_table(model, rest)
+            | {"eps": eps, "centered": int(centered)}
         )
         self._work = [self._workspace() for _ in range(horizon.workers.count)]
         self._offsets = {"at_" + name.replace(".", "_"): at for name, at in offsets().items()}

@@ -36,6 +36,7 @@ import numpy as np
 from numba import types
 
 from mjslq.dynamics.mujoco.inverse.algebra import add_product, factorize, solve
+from mjslq.dynamics.mujoco.inverse.arms import add_arms, measure_arms
 from mjslq.dynamics.mujoco.inverse.columns import ARMATURE, TENDON_NUMBERS
 from mjslq.dynamics.mujoco.inverse.constraints import add_rows, evaluate_rows, find_rows
 from mjslq.dynamics.mujoco.inverse.differences import add_differences, mj_comPos, mj_kinematics
@@ -108,7 +109,11 @@ def _smooth_forces(job):
             M_hat[i, i] = -job.h * T[i, i]  # Euler takes the joints' damping implicitly, and nothing else
     add_tendons(job, acc_d, F, T, E)
     activate(job)
+    if job.narm > 0:
+        measure_arms(job)
     actuate(job)
+    if job.narm > 0:
+        add_arms(job, acc_d, F, T, E)
     add_actuators(job, acc_d, F, T, E)
     add_site_actuators(job, F)
     if job.compensated:

@@ -53,12 +53,12 @@ def sensor_kind(model: mujoco.MjModel, s: int, rest: Remainder) -> int:
         return columns.BY_DIFFERENCES
     if kind in _ON_DOFS:
         shared = model.jnt_actgravcomp[target] or (model.actuator_trntype == TRN.mjTRN_SITE).any()
-        unknown = kind == _SENSOR.mjSENS_JOINTACTFRC and (shared or rest.actuators.any())
+        unknown = kind == _SENSOR.mjSENS_JOINTACTFRC and (shared or (rest.actuators | rest.swinging).any())
         return columns.BY_DIFFERENCES if unknown else _ON_DOFS[kind]
     if kind in _ON_TENDONS:
         return _ON_TENDONS[kind] if len(tendon_dofs(model, target)[0]) else columns.BY_DIFFERENCES
     if kind == _SENSOR.mjSENS_ACTUATORFRC:
-        known = _has_row(model) and not rest.actuators[target]
+        known = _has_row(model) and not (rest.actuators | rest.swinging)[target]
         return columns.ACTUATOR_FORCE if known else columns.BY_DIFFERENCES
     if kind in _ON_ACTUATORS:
         return _ON_ACTUATORS[kind] if _has_length(model, target) else columns.BY_DIFFERENCES

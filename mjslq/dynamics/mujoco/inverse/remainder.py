@@ -4,11 +4,14 @@ Forces add up, so that a model can be split in two: in one copy what has no clos
 makes the kernel's tables of that; in the other everything else is, and `force_differences` differentiates what is
 left. Only parts that act on the motion count. Without a closed form are
 
-    spatial tendons;  tendons across branches whose damping is nonlinear and taken implicitly;
     nonlinear springs of free joints;
-    actuators with several inputs or outputs, with gain, bias or dynamics other than `GAINS`, `BIASES`, `DYNAMICS`, with
-    a length or moment arm that is not a joint's, a fixed tendon's or a plain site's, on tendons with a force limit;
-    actuators, and gravity compensation, on joints that clip a force in which such actuators, tendons or sites share.
+    actuators with several inputs or outputs, with gain, bias or dynamics other than `GAINS`, `BIASES`, `DYNAMICS`, on
+    bodies or on tendons with a force limit;
+    actuators, and gravity compensation, on joints that clip a force in which these, tendons or sites share.
+
+Between the two stand forces along a length that is no linear function of positions, whose law has a closed form but
+whose moment arm has none (`arms`): tendons that are spatial, or run across branches with a damping that is nonlinear
+and taken implicitly, and actuators on such tendons, on cranks, at sites, on ball and free joints.
 """
 
 from __future__ import annotations
@@ -47,18 +50,21 @@ Mask = np.ndarray[Any, Any]
 
 @dataclass(frozen=True)
 class Remainder:
-    """Parts of a model whose forces have no closed form: masks of its tendons, joints and actuators, and a switch."""
+    """Parts of a model whose forces have no closed form: masks of its joints and actuators, and a switch."""
 
     lifted: bool
     """Whether gravity compensation takes part in forces that joints clip."""
-    tendons: Mask
     joints: Mask
     actuators: Mask
+    slack: Mask
+    """Tendons whose springs and dampers have a closed form, but not their moment arms."""
+    swinging: Mask
+    """Actuators of that kind."""
 
     @property
     def is_passive(self) -> bool:
         """Whether forces other than the actuators' are among them."""
-        return bool(self.lifted or self.tendons.any() or self.joints.any())
+        return bool(self.lifted or self.joints.any())
 
     @property
     def exists(self) -> bool:
@@ -71,11 +77,13 @@ def remainder(model: mujoco.MjModel) -> Remainder:
     lifted = np.asarray(model.jnt_actfrclimited, bool) & np.asarray(model.jnt_actgravcomp, bool)
     lifted &= bool(model.body_gravcomp.any())
     nonlinear = model.jnt_stiffnesspoly.any(axis=1)
+    open_, swinging = _open_actuators(model, lifted)
     return Remainder(
         lifted=bool(lifted.any()),
-        tendons=np.array([_is_open(model, t) for t in range(model.ntendon)], bool),
         joints=nonlinear & (model.jnt_type == JOINT.mjJNT_FREE),
-        actuators=_open_actuators(model, lifted),
+        actuators=open_,
+        slack=np.array([_is_slack(model, t) for t in range(model.ntendon)], bool),
+        swinging=swinging,
     )
 
 
@@ -84,8 +92,8 @@ def is_spatial(model: mujoco.MjModel, t: int) -> bool:
     return bool(model.wrap_type[model.tendon_adr[t]] != WRAP.mjWRAP_JOINT)
 
 
-def _is_open(model: mujoco.MjModel, t: int) -> bool:
-    """Whether the passive forces of tendon t have no closed form."""
+def _is_slack(model: mujoco.MjModel, t: int) -> bool:
+    """Whether the passive forces of tendon t have a closed form along a moment arm that has none."""
     prm = tendons(model)["ten_prm"][t]
     if is_spatial(model, t):
         return bool(prm[columns.STIFFNESS : columns.ARMATURE].any())
@@ -95,10 +103,10 @@ def _is_open(model: mujoco.MjModel, t: int) -> bool:
 
 def on_one_branch(model: mujoco.MjModel, dofs: Any) -> bool:
     """Whether all of `dofs` lie on the way from one of them to the world."""
-    return len(dofs) == 0 or set(dofs.tolist()) <= _ancestors(model, int(np.max(dofs)))
+    return len(dofs) == 0 or set(dofs.tolist()) <= ancestors(model, int(np.max(dofs)))
 
 
-def _ancestors(model: mujoco.MjModel, i: int) -> set[int]:
+def ancestors(model: mujoco.MjModel, i: int) -> set[int]:
     """Dof i, and all on its way to the world."""
     found: set[int] = set()
     while i >= 0:
@@ -122,10 +130,22 @@ def _has_closed_arm(model: mujoco.MjModel, i: int) -> bool:
     if joint_of(model, i) >= 0:
         return True
     if kind == TRN.mjTRN_TENDON:
-        return not is_spatial(model, target[0]) and not model.tendon_actfrclimited[target[0]]
+        if is_spatial(model, target[0]):
+            return False
+        return (
+            implicit_level(model) < 2
+            or not _gain_feels_speed(model, i)
+            or on_one_branch(model, tendon_dofs(model, target[0])[0])
+        )
     if kind == TRN.mjTRN_JOINT or (kind == TRN.mjTRN_SITE and target[1] < 0):
         return not _feels_motion(model, i)
     return False
+
+
+def _gain_feels_speed(model: mujoco.MjModel, i: int) -> bool:
+    kind = model.actuator_gaintype[i]
+    affine = kind == GAIN.mjGAIN_AFFINE and model.actuator_gainprm[i, 2] != 0.0
+    return bool(affine or kind == GAIN.mjGAIN_MUSCLE)
 
 
 def _feels_motion(model: mujoco.MjModel, i: int) -> bool:
@@ -139,10 +159,18 @@ def _feels_motion(model: mujoco.MjModel, i: int) -> bool:
     )
 
 
-def _open_actuators(model: mujoco.MjModel, lifted: Mask) -> Mask:
-    """Actuators without a closed form, and all that share a clipped joint with what spreads over several dofs."""
+def _open_actuators(model: mujoco.MjModel, lifted: Mask) -> tuple[Mask, Mask]:
+    """Actuators without a closed form, and those that lack it only for their moment arm.
+
+    To the first belong all that share a clipped joint with what spreads over several dofs.
+    """
     count = model.nactuator
-    found = np.array([not (_has_closed_law(model, i) and _has_closed_arm(model, i)) for i in range(count)], bool)
+    limited_tendon = np.zeros(count, bool)
+    for i in np.flatnonzero(model.actuator_trntype == TRN.mjTRN_TENDON):
+        limited_tendon[i] = model.tendon_actfrclimited[model.actuator_trnid[i, 0]]
+    strange = np.isin(model.actuator_trntype, (TRN.mjTRN_BODY, TRN.mjTRN_SO3)) | limited_tendon
+    found = strange | np.array([not _has_closed_law(model, i) for i in range(count)], bool)
+    swinging = np.array([not _has_closed_arm(model, i) for i in range(count)], bool)
     limited = np.flatnonzero(model.jnt_actfrclimited)
     drives = [driven_dofs(model, i) for i in range(count)]
     direct = np.array([joint_of(model, i) >= 0 for i in range(count)], bool)
@@ -155,7 +183,7 @@ def _open_actuators(model: mujoco.MjModel, lifted: Mask) -> Mask:
             if lifted[j] or size > 1 or (here & (found | ~direct)).any():
                 found |= here
         if (found == before).all():
-            return found
+            return found, swinging & ~found
 
 
 def driven_dofs(model: mujoco.MjModel, i: int) -> set[int]:
@@ -199,14 +227,14 @@ def _relative_dofs(model: mujoco.MjModel, bodies: list[int]) -> set[int]:
         while b > 0 and model.body_dofnum[b] == 0:
             b = int(model.body_parentid[b])
         last = int(model.body_dofadr[b] + model.body_dofnum[b] - 1) if b > 0 else -1
-        chains.append(_ancestors(model, last))
+        chains.append(ancestors(model, last))
     return set().union(*chains) - chains[0].intersection(*chains[1:])
 
 
 def covered_part(model: mujoco.MjModel, rest: Remainder) -> mujoco.MjModel:
-    """Copy of the model without the forces that have no closed form."""
+    """Copy of the model without the forces that have no closed form, and without the passive ones of slack tendons."""
     part = copy.copy(model)
-    _slacken(part, rest.tendons)
+    _slacken(part, rest.slack)
     _loosen(part, rest.joints)
     _still(part, rest.actuators)
     if rest.lifted:
@@ -223,20 +251,17 @@ def rest_part(model: mujoco.MjModel, rest: Remainder) -> mujoco.MjModel:
     """Copy of the model with no other smooth forces than those without a closed form."""
     part = copy.copy(model)
     part.opt.density = part.opt.viscosity = 0.0
-    _slacken(part, ~rest.tendons)
     _loosen(part, ~rest.joints)
     _still(part, ~rest.actuators)
-    part.dof_damping[:] = part.dof_dampingpoly[:] = 0.0
-    for i in range(model.nactuator):
-        if joint_of(model, i) >= 0:
-            part.actuator_damping[i] = part.actuator_dampingpoly[i] = 0.0
+    _slacken(part, np.ones(model.ntendon, bool))
+    part.dof_damping[:] = part.dof_dampingpoly[:] = part.actuator_damping[:] = part.actuator_dampingpoly[:] = 0.0
     if not rest.lifted:
         part.body_gravcomp[:] = 0.0
     return part
 
 
 def _slacken(model: mujoco.MjModel, which: Mask) -> None:
-    """Take springs and dampers away from some tendons, and from what drives them."""
+    """Take springs and dampers away from some tendons, and dampers from what drives them."""
     model.tendon_stiffness[which] = model.tendon_stiffnesspoly[which] = 0.0
     model.tendon_damping[which] = model.tendon_dampingpoly[which] = 0.0
     for i in np.flatnonzero(model.actuator_trntype == TRN.mjTRN_TENDON):
@@ -260,8 +285,7 @@ def rest_table(model: mujoco.MjModel, rest: Remainder) -> dict[str, Any]:
     positions: set[int] = set(range(model.nv)) if rest.lifted else set()
     for j in np.flatnonzero(rest.joints):
         positions = positions | set(range(model.jnt_dofadr[j], model.jnt_dofadr[j] + 6))
-    moved = [touched_dofs(model, int(t)) for t in np.flatnonzero(rest.tendons)]
-    moved += [driven_dofs(model, int(i)) for i in np.flatnonzero(rest.actuators)]
+    moved = [driven_dofs(model, int(i)) for i in np.flatnonzero(rest.actuators)]
     velocities = set[int]().union(*moved)
     positions |= velocities
     acts, controls, following = _signals(model, rest)
