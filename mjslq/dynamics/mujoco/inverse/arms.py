@@ -12,8 +12,13 @@ Notation
     d(T a)_j/dq_i = G_ji s_v r_j + J_j (s_vl L_i + s_vv (G' v)_i) r_j + J_j s_v sum over k ~ j of G_ki a_k
     d(T a)_j/dv_i = J_j s_vv J_i r_j,                      d(T a)_j/du = J_j s_vu r_j
 
-J comes from MuJoCo (mj_tendon, mj_transmission), G and L by differences of it: of positions alone, however many forces
-there are. Everything else has a closed form.
+J comes from MuJoCo (mj_tendon, mj_transmission). Of tendons that are straight between sites L = J, and a piece of
+length d along the unit vector n, whose ends move apart by e_i with dof i, adds to G_ji
+
+    (e_j . e_i - (n . e_j) (n . e_i)) / d + n . (de_j/dq_i),
+
+where the motion dp_j of an end turns with i if i comes before j, and is (turning of j) x dp_i otherwise. For all other
+arms, G and L are differences of J and the length: of positions alone, however many forces there are.
 """
 
 from __future__ import annotations
@@ -26,7 +31,17 @@ from mjslq.dynamics.mujoco.inverse.columns import BAND, DAMPING, STIFFNESS, TEND
 from mjslq.dynamics.mujoco.inverse.constraints import mj_tendon
 from mjslq.dynamics.mujoco.inverse.differences import mj_comPos, mj_integratePos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.job import flags, integers, matrix, vector
-from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
+from mjslq.dynamics.mujoco.inverse.spatial import (
+    compiled,
+    cross3,
+    dot3,
+    inlined,
+    row3,
+    row6,
+    scale3,
+    sub3,
+    velocity_at,
+)  # fmt: skip
 from mjslq.dynamics.mujoco.kernels import _address, _copy, _void
 
 mj_transmission = types.ExternalFunction("mj_transmission", _void(_address, _address))
@@ -45,8 +60,68 @@ def measure_arms(job):
         for k in range(first[a], first[a + 1]):
             motion[a, 1] += J[k] * qvel[dofs[k]]
             L[k] = J[k]
+    G = vector(job.arm_G, job.narm_square)
+    for k in range(job.narm_square):
+        G[k] = 0.0
+    for piece in range(job.npiece):
+        _add_piece(job, piece)
     if job.narm_q > 0:
         _difference(job)
+
+
+@compiled
+def _add_piece(job, piece):
+    """G of a straight piece of tendon."""
+    a = integers(job.piece_arm, job.npiece)[piece]
+    sites, com = matrix(job.site_xpos, job.nsite, 3), matrix(job.subtree_com, job.nbody, 3)
+    start, end = integers(job.piece_from, job.npiece)[piece], integers(job.piece_to, job.npiece)[piece]
+    share, way = vector(job.piece_share, job.npiece)[piece], sub3(row3(sites, end), row3(sites, start))
+    length = math.sqrt(dot3(way, way))
+    if length < 1e-15:
+        return
+    n = scale3(1.0 / length, way)
+    body, root = integers(job.site_bodyid, job.nsite), integers(job.body_rootid, job.nbody)
+    first, dofs = integers(job.arm_first, job.narm + 1), integers(job.arm_dof, job.narm_dof)
+    member, group = integers(job.member, job.nv), integers(job.dof_group, job.nv)
+    cdof, size = matrix(job.cdof, job.nv, 6), first[a + 1] - first[a]
+    dofs = dofs[first[a] : first[a + 1]]
+    G = matrix(job.arm_G + 8 * integers(job.arm_at, job.narm)[a], size, size)
+    ends = (matrix(job.piece_start, job.nv, 3), matrix(job.piece_end, job.nv, 3))
+    for i in range(job.nv):
+        member[i] = 0
+    _move_end(job, body[start], sub3(row3(sites, start), row3(com, root[body[start]])), 1, ends[0])
+    _move_end(job, body[end], sub3(row3(sites, end), row3(com, root[body[end]])), 2, ends[1])
+    for y in range(size):
+        i = dofs[y]
+        apart = sub3(_motion(ends[1], member, i, 2), _motion(ends[0], member, i, 1))
+        for x in range(size):
+            j = dofs[x]
+            e = sub3(_motion(ends[1], member, j, 2), _motion(ends[0], member, j, 1))
+            bend = (dot3(e, apart) - dot3(n, e) * dot3(n, apart)) / length
+            for side in range(2):
+                if member[i] & member[j] & (side + 1):
+                    moves, sign = ends[side], 2.0 * side - 1.0
+                    if group[i] <= group[j]:
+                        bend += sign * dot3(n, cross3(row3(cdof, i), row3(moves, j)))
+                    else:
+                        bend += sign * dot3(n, cross3(row3(cdof, j), row3(moves, i)))
+            G[x, y] += share * bend
+
+
+@compiled
+def _move_end(job, b, x, mark, moves):
+    """Motion with each dof of a point of body b at x, and marks for the dofs that move it."""
+    member, parent, cdof = integers(job.member, job.nv), integers(job.dof_parentid, job.nv), matrix(job.cdof, job.nv, 6)
+    i = integers(job.body_lastdof, job.nbody)[b]
+    while i >= 0:
+        member[i] |= mark
+        moves[i, 0], moves[i, 1], moves[i, 2] = velocity_at(row6(cdof, i), x)
+        i = parent[i]
+
+
+@inlined
+def _motion(moves, member, i, mark):
+    return row3(moves, i) if member[i] & mark else (0.0, 0.0, 0.0)
 
 
 @compiled
@@ -62,7 +137,7 @@ def _difference(job):
     motion, ahead, behind = (
         matrix(job.arm_motion, job.narm, 2), matrix(job.arm_ahead, job.narm, 2), matrix(job.arm_behind, job.narm, 2)
     )  # fmt: skip
-    apart = 2.0 * job.eps if job.centered else job.eps
+    straight, apart = integers(job.arm_straight, job.narm), 2.0 * job.eps if job.centered else job.eps
     if not job.centered:
         minus, behind = J, motion
     for v in range(job.narm_q):
@@ -72,7 +147,7 @@ def _difference(job):
             _pose(job, varied[v], -job.eps)
             _read(job, minus, behind, 1)
         for a in range(job.narm):
-            size = first[a + 1] - first[a]
+            size = first[a + 1] - first[a] if straight[a] == 0 else 0
             for i in range(size):
                 if dofs[first[a] + i] == varied[v]:
                     L[first[a] + i] = (ahead[a, 0] - behind[a, 0]) / apart

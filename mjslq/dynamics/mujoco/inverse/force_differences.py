@@ -8,8 +8,8 @@ Notation
     F = df/dz, E = h (dT/dz) a
 
 MuJoCo's own functions evaluate f and T for the model of the rest, in the mjData of the whole model: no inertia, no
-collision, no solver. A change of position needs the kinematics and the lengths and moment arms of tendons and
-actuators, one of velocity only forces, one of activation or control only the actuators' forces. Activations with
+collision, no solver. A change of position needs the lengths and moment arms of actuators, and mostly the kinematics,
+one of velocity only forces, one of activation or control only the actuators' forces. Activations with
 dynamics of their own are advanced beside that, by an Euler step of the model of the rest, in which nothing is damped
 and nothing to be factorized.
 """
@@ -126,8 +126,9 @@ def _evaluate(job, x, kind, out):
     """Put (f, T a, next activations) into `out` after a change of this kind; then put x back into mjData."""
     model, data, nv = job.rest_model, job.data, job.nv
     if kind == _POSITION:
-        mj_kinematics(job.model, data)
-        mj_comPos(job.model, data)
+        if job.rest_poses:
+            mj_kinematics(job.model, data)
+            mj_comPos(job.model, data)
         if job.rest_touches:
             find_rows(job)
         elif job.ntendon > 0:

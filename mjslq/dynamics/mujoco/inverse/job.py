@@ -31,8 +31,8 @@ SIZES = (
     "ntendon", "nten_coef", "nact_coef", "nquat", "implicit", "gyroscopic", "compensated", "constrained", "neq",
     "bodies_tied",
     "nsensor", "sensors_differenced", "sparse", "centered",
-    "nrest_q", "nrest_v", "nrest_act", "nrest_u", "nrest_next", "rest_passive", "rest_acts",
-    "nfluid", "narm", "narm_dof", "narm_square", "narm_q", "arms_act",
+    "nrest_q", "nrest_v", "nrest_act", "nrest_u", "nrest_next", "rest_passive", "rest_acts", "rest_poses",
+    "nfluid", "narm", "narm_dof", "narm_square", "narm_q", "arms_act", "npiece",
     "rest_touches", "rest_model", "nout", "nD", "symmetric", "ten_J_rownnz", "ten_J_rowadr", "ten_J_colind",
 )  # fmt: skip
 INTEGERS = (
@@ -43,12 +43,12 @@ INTEGERS = (
     "sen_kind", "sen_adr", "sen_target", "sen_body", "sen_reference", "eq_joint", "eq_dof",
     "rest_q", "rest_v", "rest_act", "rest_u", "rest_next", "D_rownnz", "D_rowadr", "D_colind", "ten_constant",
     "arm_q", "arm_tendon", "arm_out", "arm_row", "act_arm", "arm_first", "arm_dof", "arm_at", "arm_branch",
-    "fluid_body", "fluid_geom",
+    "fluid_body", "fluid_geom", "arm_straight", "piece_arm", "piece_from", "piece_to", "site_bodyid",
 )  # fmt: skip
 NUMBERS = (
     "dof_armature", "dof_damping", "dof_force_range", "body_gravcomp", "spring_prm", "ball_prm", "ten_coef", "ten_prm",
     "act_coef", "act_prm", "act_gear", "gravity", "geom_radius", "geom_size", "sen_prm", "eq_prm", "body_subtreemass",
-    "act_muscle", "ctrl_range", "fluid_prm", "wind", "arm_prm",
+    "act_muscle", "ctrl_range", "fluid_prm", "wind", "arm_prm", "piece_share",
 )  # fmt: skip
 VIEWS = (
     "qpos", "qvel", "act", "ctrl", "qacc", "cdof", "cinert", "subtree_com", "site_xpos", "site_xmat", "geom_xpos",
@@ -67,7 +67,7 @@ WORK: dict[str, tuple[int | str, int | str]] = {
     "rest_plus": ("columns", 1), "rest_minus": ("columns", 1), "rest_rows": ("na", "columns"),
     "arm_J": ("narm_dof", 1), "arm_L": ("narm_dof", 1), "arm_G": ("narm_square", 1), "arm_motion": ("narm", 2),
     "arm_plus": ("narm_dof", 1), "arm_minus": ("narm_dof", 1), "arm_ahead": ("narm", 2), "arm_behind": ("narm", 2),
-    "arm_pose": ("nq", 1),
+    "piece_start": ("nv", 3), "piece_end": ("nv", 3), "arm_pose": ("nq", 1),
     "fluid_K": ("nbody", 36), "fluid_hat": ("nbody", 36), "fluid_bend": ("nbody", 36), "fluid_W": ("nbody", 6),
     "fluid_U": ("nbody", 6), "fluid_X": (6, 6), "fluid_B": (18, 6), "fluid_local": (4, 6), "fluid_complex": (16, 6),
 }  # fmt: skip

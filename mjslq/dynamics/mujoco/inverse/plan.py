@@ -52,7 +52,7 @@ def plan(model: mujoco.MjModel) -> Table:
         "body_dofnum": model.body_dofnum, "body_lastdof": _last_dofs(model), "dof_bodyid": model.dof_bodyid,
         "dof_parentid": model.dof_parentid, "dof_qadr": _position_addresses(model),
         "dof_force_range": _force_ranges(model), "dof_damping": dampers(model), "dof_armature": _armature(model),
-        "body_gravcomp": model.body_gravcomp, "dof_treeid": model.dof_treeid,
+        "site_bodyid": model.site_bodyid, "body_gravcomp": model.body_gravcomp, "dof_treeid": model.dof_treeid,
         "gravity": np.zeros(3) if disabled(model, OFF.mjDSBL_GRAVITY) else model.opt.gravity,
     }  # fmt: skip
     compensates = bool(model.body_gravcomp.any()) and bool(np.any(table["gravity"]))

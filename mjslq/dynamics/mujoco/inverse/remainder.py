@@ -294,11 +294,18 @@ def rest_table(model: mujoco.MjModel, rest: Remainder) -> dict[str, Any]:
         "nrest_v": len(velocities), "rest_act": acts, "nrest_act": len(acts), "rest_u": controls,
         "nrest_u": len(controls), "rest_next": following, "nrest_next": len(following),
         "rest_passive": int(rest.is_passive), "rest_acts": int(rest.actuators.any()),
+        "rest_poses": int(rest.is_passive or any(not _is_plain(model, int(i)) for i in np.flatnonzero(rest.actuators))),
         "rest_touches": int((model.actuator_trntype[rest.actuators] == TRN.mjTRN_BODY).any()),
         "nout": model.nout, "nD": model.nD,
         "D_rownnz": model.D_rownnz, "D_rowadr": model.D_rowadr, "D_colind": model.D_colind,
         "ctrl_range": _control_ranges(model),
     }  # fmt: skip
+
+
+def _is_plain(model: mujoco.MjModel, i: int) -> bool:
+    """Whether the length of actuator i needs no kinematics."""
+    fixed = model.actuator_trntype[i] == TRN.mjTRN_TENDON and not is_spatial(model, int(model.actuator_trnid[i, 0]))
+    return bool(fixed) or joint_of(model, i) >= 0
 
 
 def _indices(found: set[int]) -> Any:
@@ -312,10 +319,11 @@ def _signals(model: mujoco.MjModel, rest: Remainder) -> tuple[Any, Any, Any]:
     following: list[int] = []
     for i in np.flatnonzero(rest.actuators):
         own = [int(model.actuator_actadr[i]) + k for k in range(model.actuator_actnum[i])]
-        acts += own
-        controls += range(model.actuator_ctrladr[i], model.actuator_ctrladr[i] + model.actuator_ctrlnum[i])
         closed = model.actuator_dyntype[i] in DYNAMICS and len(own) == 1 and model.actuator_ctrlnum[i] == 1
+        acts += own
         following += [] if closed else own
+        if not closed or model.actuator_actearly[i]:
+            controls += [int(model.actuator_ctrladr[i]) + k for k in range(model.actuator_ctrlnum[i])]
     return tuple(np.array(found, np.int64) for found in (acts, controls, following))  # type: ignore[return-value]
 
 
