@@ -155,8 +155,8 @@ def length_unit(model: Any) -> str:
 
 def _control_kinds(model: Any) -> list[tuple[str, str]]:
     """Return (kind, unit) of each control: a force or torque where an actuator passes it on as it is."""
-    kinds = []
-    for actuator in range(model.nu):
+    kinds: list[tuple[str, str]] = []
+    for actuator in range(model.nactuator):
         joint = int(model.actuator_trnid[actuator, 0])
         plain = (
             model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
@@ -164,9 +164,10 @@ def _control_kinds(model: Any) -> list[tuple[str, str]]:
             and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
             and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
             and model.actuator_gainprm[actuator, 0] == 1.0
-            and model.actuator_gear[actuator, 0] == 1.0
+            and model.actuator_gear[model.actuator_outadr[actuator], 0] == 1.0
         )
         units = {mujoco.mjtJoint.mjJNT_SLIDE: "N", mujoco.mjtJoint.mjJNT_HINGE: "Nm"}
         unit = units.get(mujoco.mjtJoint(model.jnt_type[joint]), "") if plain else ""
-        kinds.append(({"N": "forces", "Nm": "torques"}.get(unit, "controls"), unit))
+        kind = ({"N": "forces", "Nm": "torques"}.get(unit, "controls"), unit)
+        kinds += [kind] * int(model.actuator_ctrlnum[actuator])
     return kinds

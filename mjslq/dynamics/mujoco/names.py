@@ -30,15 +30,20 @@ def state_names(model: mujoco.MjModel) -> tuple[str, ...]:
         positions += [name + end for end in _POSITIONS[kind]]
         velocities += [name + end for end in _VELOCITIES[kind]]
     activations: list[str] = []
-    for a in range(model.nu):
+    for a in range(model.nactuator):
         if model.actuator_actnum[a] > 0:
             activations += _numbered(_name(model.actuator(a), "actuator") + ".act", int(model.actuator_actnum[a]))
     return (*positions, *velocities, *activations)
 
 
 def control_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Names of u: the actuators."""
-    return tuple(_name(model.actuator(a), "actuator") for a in range(model.nu))
+    """Names of u: the actuators, with their inputs when they have several: "wrist.rx"."""
+    names: list[str] = []
+    for a in range(model.nactuator):
+        name, count = _name(model.actuator(a), "actuator"), int(model.actuator_ctrlnum[a])
+        inputs = [mujoco.mj_actuatorInputName(model, a, k) or str(k) for k in range(count)]
+        names += [name] if count == 1 else [f"{name}.{given}" for given in inputs]
+    return tuple(names)
 
 
 def output_names(model: mujoco.MjModel) -> tuple[str, ...]:

@@ -2,6 +2,10 @@
 
 GAIN, BIAS, TIME_CONSTANT, CTRL_RANGE, FORCE_RANGE, ACT_RANGE, ACTUATOR_NUMBERS = 0, 3, 6, 7, 9, 11, 13
 """Columns of act_prm."""
+LENGTH_RANGE, MUSCLE_GAIN, MUSCLE_BIAS, MUSCLE_TIMES, MUSCLE_NUMBERS = 0, 2, 11, 20, 23
+"""Columns of act_muscle; gain and bias each: range (2), peak force, scale, lmin, lmax, vmax, fpmax, fvmax."""
+FLUID_SHADOW, FLUID_MASS, FLUID_INERTIA, FLUID_ANGULAR, FLUID_REST, FLUID_NUMBERS = 0, 3, 6, 9, 12, 19
+"""Columns of fluid_prm for ellipsoids; boxes have six linear and six quadratic coefficients."""
 BAND, STIFFNESS, DAMPING, ARMATURE, TENDON_NUMBERS = 0, 2, 5, 8, 9
 """Columns of ten_prm."""
 OTHER, PLANE, MESH, SPHERE, CAPSULE, BOX = range(6)

@@ -16,7 +16,8 @@ By position, for rows whose J is constant (limits of scalar joints and fixed ten
 friction of joints and tendons has none. Equality constraints of two joints, q_1 = P(q_2), have J = (1, -P') besides
 the same terms. Contacts with a static plane, among spheres and capsules, and of spheres with
 boxes are in `contacts`. What remains (other pairs of geoms, equality constraints, limits of ball
-joints) is differenced, in positions alone, and only at knots where such rows push: `differences`.
+joints, limits and friction of spatial tendons) is differenced, in positions alone, and only at knots where such rows
+push: `differences`.
 """
 
 from __future__ import annotations
@@ -106,7 +107,9 @@ def read_row(job, r, dofs, values):
 @compiled
 def is_differenced(job, kind, index):
     """Whether the position derivative of a row is taken by differences; `index` is its efc_id."""
-    if kind in (FRICTION_DOF, FRICTION_TENDON, LIMIT_TENDON):
+    if kind in (FRICTION_TENDON, LIMIT_TENDON):
+        return integers(job.ten_constant, index + 1)[index] == 0
+    if kind == FRICTION_DOF:
         return False
     if kind == LIMIT_JOINT:
         return integers(job.jnt_scalar, index + 1)[index] == 0

@@ -7,23 +7,18 @@ model falls back to differences of the step.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from mjslq.dynamics.mujoco.inverse import columns
+from mjslq.dynamics.mujoco.inverse.fluid_plan import in_fluid
 from mjslq.dynamics.mujoco.inverse.outputs import TYPES, sensors
 from mjslq.dynamics.mujoco.inverse.plan import (
-    BIAS,
-    DYN,
     EQ,
-    GAIN,
     INT,
-    JOINT,
     OFF,
     ON,
-    SCALAR,
     TRN,
     can_be_constrained,
     dampers,
@@ -34,11 +29,10 @@ from mjslq.dynamics.mujoco.inverse.plan import (
     tendon_dofs,
     tendons,
 )
+from mjslq.dynamics.mujoco.inverse.remainder import AFFINE_BIASES, AFFINE_GAINS, is_spatial, on_one_branch, remainder
 
-_DYNAMICS = [int(kind) for kind in (DYN.mjDYN_NONE, DYN.mjDYN_INTEGRATOR, DYN.mjDYN_FILTER, DYN.mjDYN_FILTEREXACT)]
-_GAINS = [int(GAIN.mjGAIN_FIXED), int(GAIN.mjGAIN_AFFINE)]
-_BIASES = [int(BIAS.mjBIAS_NONE), int(BIAS.mjBIAS_AFFINE)]
-
+_OWN = "differences of their own forces"
+_ARMS = "analytic along moment arms that are differenced"
 _POSITIONS = "by position differences of positions alone"
 
 
@@ -54,7 +48,7 @@ def choose_jacobian(model: mujoco.MjModel, wanted: str) -> str:
 
 def describe(model: mujoco.MjModel) -> list[tuple[str, str]]:
     """What serves the sensors and the constraints of a covered model, as (part, what serves it)."""
-    rows = []
+    rows = _forces(model)
     if model.nsensor:
         kinds = sensors(model)["sen_kind"]
         closed = kinds != columns.BY_DIFFERENCES
@@ -75,46 +69,39 @@ def describe(model: mujoco.MjModel) -> list[tuple[str, str]]:
     return rows
 
 
+def _forces(model: mujoco.MjModel) -> list[tuple[str, str]]:
+    """Rows of the smooth forces that have no closed form; all others are analytic."""
+    rest = remainder(model)
+    rows = [
+        (what.format(which.sum()), _OWN)
+        for what, which in (
+            ("springs of {} free joints", rest.joints),
+            ("forces of {} actuators", rest.actuators),
+        )
+        if which.any()
+    ]
+    rows += [
+        (what.format(which.sum()), _ARMS)
+        for what, which in (
+            ("springs and dampers of {} tendons", rest.slack),
+            ("forces of {} other actuators" if rest.actuators.any() else "forces of {} actuators", rest.swinging),
+        )
+        if which.any()
+    ]
+    rows += [("fluid", "analytic")] if in_fluid(model) else []
+    return rows + ([("gravity compensation", _OWN)] if rest.lifted else [])
+
+
 def refusals(model: mujoco.MjModel) -> list[str]:
     """What `model` has that the inverse Jacobians do not cover; empty when they cover it."""
     return [reason for is_so, reason in _REFUSALS if is_so(model)]
 
 
-def _moving_target(model: mujoco.MjModel, i: int) -> bool:
-    """Whether actuator i needs a length or velocity that has no constant derivative."""
-    prm_gain, prm_bias = model.actuator_gainprm[i, 1:3], model.actuator_biasprm[i, 1:3]
-    feels = (model.actuator_gaintype[i] == GAIN.mjGAIN_AFFINE and prm_gain.any()) or (
-        model.actuator_biastype[i] == BIAS.mjBIAS_AFFINE and prm_bias.any()
-    )
-    return bool(feels)
-
-
-def _odd_transmission(model: mujoco.MjModel) -> bool:
-    for i in range(model.nu):
-        kind, target = model.actuator_trntype[i], model.actuator_trnid[i]
-        if joint_of(model, i) >= 0:
-            continue
+def _odd_drag(model: mujoco.MjModel) -> bool:
+    """Whether an actuator lends damping or armature to something other than a scalar joint or a tendon."""
+    for i in range(model.nactuator):
         drags = model.actuator_damping[i] or model.actuator_dampingpoly[i].any() or model.actuator_armature[i]
-        if kind == TRN.mjTRN_JOINT or (kind == TRN.mjTRN_SITE and target[1] < 0):
-            if _moving_target(model, i) or drags:
-                return True
-        elif kind != TRN.mjTRN_TENDON:
-            return True
-    return False
-
-
-def _busy_spatial_tendon(model: mujoco.MjModel) -> bool:
-    """Whether a spatial tendon has any effect on the motion."""
-    for t in range(model.ntendon):
-        if len(tendon_dofs(model, t)[0]):
-            continue
-        coefficients = (
-            model.tendon_stiffness[t], *model.tendon_stiffnesspoly[t], model.tendon_damping[t],
-            *model.tendon_dampingpoly[t], model.tendon_armature[t], model.tendon_frictionloss[t],
-        )  # fmt: skip
-        driven = ((model.actuator_trntype == TRN.mjTRN_TENDON) & (model.actuator_trnid[:, 0] == t)).any()
-        tied = ((model.eq_type == EQ.mjEQ_TENDON) & (model.eq_obj1id == t)).any()
-        if any(coefficients) or driven or model.tendon_limited[t] or tied:
+        if drags and joint_of(model, i) < 0 and model.actuator_trntype[i] != TRN.mjTRN_TENDON:
             return True
     return False
 
@@ -123,38 +110,29 @@ def _beyond_the_metric(model: mujoco.MjModel) -> bool:
     """Whether the discrete integrator meets forces that are no springs, dampers or servos with constant arms."""
     if implicit_level(model) != 3:
         return False
-    plain = np.isin(model.actuator_gaintype, _GAINS).all() and np.isin(model.actuator_biastype, _BIASES).all()
-    fluid = model.opt.density > 0 or model.opt.viscosity > 0
-    return bool(not plain or fluid or _odd_transmission(model) or _busy_spatial_tendon(model))
+    rest = remainder(model)
+    plain = (
+        np.isin(model.actuator_gaintype, AFFINE_GAINS).all() and np.isin(model.actuator_biastype, AFFINE_BIASES).all()
+    )
+    spatial = any(is_spatial(model, t) and _makes_rows(model, t) for t in range(model.ntendon))
+    open_ = rest.exists or rest.slack.any() or rest.swinging.any()
+    return bool(not plain or open_ or spatial or in_fluid(model))
 
 
-def _branching_tendon(model: mujoco.MjModel) -> bool:
-    """Whether a tendon across branches has armature, or nonlinear damping that an integrator takes implicitly."""
-    table = tendons(model)
-    for t in range(model.ntendon):
-        dofs = np.sort(tendon_dofs(model, t)[0])
-        prm = table["ten_prm"][t]
-        nonlinear = implicit_level(model) == 2 and prm[columns.DAMPING + 1 : columns.DAMPING + 3].any()
-        if len(dofs) > 1 and (prm[columns.ARMATURE] or nonlinear) and not _on_one_branch(model, dofs):
-            return True
-    return False
+def _makes_rows(model: mujoco.MjModel, t: int) -> bool:
+    """Whether tendon t has limits, friction or an equality constraint."""
+    ends = (model.eq_obj1id == t) | (model.eq_obj2id == t)
+    tied = ((model.eq_type == EQ.mjEQ_TENDON) & ends).any()
+    return bool(model.tendon_limited[t] or model.tendon_frictionloss[t] or tied)
 
 
-def _on_one_branch(model: mujoco.MjModel, dofs: Any) -> bool:
-    ancestors, i = set(), int(dofs[-1])
-    while i >= 0:
-        ancestors.add(i)
-        i = int(model.dof_parentid[i])
-    return set(dofs.tolist()) <= ancestors
-
-
-def _clipped_sum(model: mujoco.MjModel) -> bool:
-    """Whether a joint clips forces in a way that couples it with others, or with gravity compensation."""
-    limited = np.asarray(model.jnt_actfrclimited, bool)
-    shared = (model.actuator_trntype == TRN.mjTRN_TENDON) | (model.actuator_trntype == TRN.mjTRN_SITE)
-    lifted = np.asarray(model.jnt_actgravcomp, bool)
-    odd = ~np.isin(model.jnt_type, SCALAR)
-    return bool((limited & (lifted | odd)).any() or (limited.any() and shared.any()))
+def _heavy_tendon(model: mujoco.MjModel) -> bool:
+    """Whether a tendon with inertia is spatial, or runs across branches."""
+    inertia = tendons(model)["ten_prm"][:, columns.ARMATURE]
+    return any(
+        inertia[t] and (is_spatial(model, t) or not on_one_branch(model, tendon_dofs(model, t)[0]))
+        for t in range(model.ntendon)
+    )
 
 
 _REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
@@ -172,36 +150,10 @@ _REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
         "exact constraint diagonals or speculative contacts are enabled",
     ),
     (lambda m: m.nplugin > 0, "it has plugins"),
-    (lambda m: m.opt.density > 0 or m.opt.viscosity > 0, "a fluid acts on its bodies"),
     (lambda m: disabled(m, OFF.mjDSBL_ACTUATION), "its actuators are disabled"),
-    (
-        lambda m: m.nactuator != m.nu or m.nout != m.nactuator or bool((m.actuator_actnum > 1).any()),
-        "it has actuators with several inputs, outputs or activations",
-    ),
-    (
-        lambda m: not np.isin(m.actuator_dyntype, _DYNAMICS).all(),
-        "it has activation dynamics other than integrator, filter, filterexact",
-    ),
-    (
-        lambda m: not (np.isin(m.actuator_gaintype, _GAINS).all() and np.isin(m.actuator_biastype, _BIASES).all()),
-        "it has actuators with gain or bias other than fixed and affine",
-    ),
-    (
-        _odd_transmission,
-        "it has actuators whose moment arm or length is not that of a joint, fixed tendon or plain site",
-    ),
-    (_busy_spatial_tendon, "it has spatial tendons that act on the motion"),
+    (_odd_drag, "it has actuators with damping or armature that is not a hinge's, slide's or tendon's"),
     (_beyond_the_metric, "the discrete integrator takes forces implicitly that have no closed form here"),
-    (_branching_tendon, "it has tendons with armature or nonlinear damping between branches"),
-    (lambda m: bool(np.any(m.tendon_actfrclimited)), "it has tendons with actuator force limits"),
-    (
-        _clipped_sum,
-        "it has joints with actuator force limits beside actuators on tendons or sites, or gravity compensation",
-    ),
-    (
-        lambda m: bool(m.jnt_stiffnesspoly[m.jnt_type == JOINT.mjJNT_FREE].any()),
-        "it has free joints with nonlinear springs",
-    ),
+    (_heavy_tendon, "it has tendons with armature that are spatial or run between branches"),
     (
         lambda m: m.opt.integrator == INT.mjINT_EULER and bool((dampers(m) < 0).any()),
         "it has negative damping under Euler",

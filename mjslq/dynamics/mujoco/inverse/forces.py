@@ -11,7 +11,8 @@ Forces (MuJoCo's documentation, "Polynomial forces", "Actuation model"):
 
     spring     -(k1 x + k2 x^2 + k3 x^3)                x: displacement, of a tendon outside its dead band
     damper     -(d1 v + d2 v |v| + d3 v^3)
-    actuator   moment' clip(gain * input + bias)        gain, bias affine in the actuator's length and velocity
+    actuator   moment' clip(gain * input + bias)        gain, bias affine in the actuator's length and velocity,
+                                                        or those of a muscle (`muscles`)
     input      clip(u), or the activation, or with actearly the next activation
 
 Clipped quantities have zero derivative outside their range, and the inner one-sided derivative on its border, which
@@ -33,11 +34,15 @@ from mjslq.dynamics.mujoco.inverse.columns import (
     DAMPING,
     FORCE_RANGE,
     GAIN,
+    MUSCLE_BIAS,
+    MUSCLE_GAIN,
+    MUSCLE_NUMBERS,
     STIFFNESS,
     TENDON_NUMBERS,
     TIME_CONSTANT,
 )
 from mjslq.dynamics.mujoco.inverse.job import integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.muscles import muscle_bias, muscle_gain, muscle_rate
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     compiled,
@@ -53,6 +58,7 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
 
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 _FILTER = int(mujoco.mjtDyn.mjDYN_FILTER)
+_MUSCLE = int(mujoco.mjtDyn.mjDYN_MUSCLE)
 
 
 @compiled
@@ -186,6 +192,7 @@ def activate(job):
     Writes act_input (input, its derivatives by u and act) and next_act (derivatives by u and act).
     """
     act_prm = matrix(job.act_prm, job.nu, ACTUATOR_NUMBERS)
+    act_muscle = matrix(job.act_muscle, job.nu, MUSCLE_NUMBERS)
     act_adr = integers(job.act_adr, job.nu)
     act_dynamics = integers(job.act_dynamics, job.nu)
     act_early = integers(job.act_early, job.nu)
@@ -205,6 +212,9 @@ def activate(job):
             change, slope_u, slope_a = job.h * u, job.h, 0.0
         elif kind == _FILTER:
             change, slope_u, slope_a = job.h / tau * (u - act[k]), job.h / tau, -job.h / tau
+        elif kind == _MUSCLE:
+            rate, slope_u, slope_a = muscle_rate(act_muscle[i], u, act[k])
+            change, slope_u, slope_a = job.h * rate, job.h * slope_u, job.h * slope_a
         else:
             part = 1.0 - math.exp(-job.h / tau)
             change, slope_u, slope_a = part * (u - act[k]), part, -part
@@ -220,8 +230,9 @@ def activate(job):
 
 @compiled
 def actuate(job):
-    """Forces of the actuators: act_force = (force, d/dlength, d/dvelocity, d/du, d/dact, dgain/dvelocity).
+    """Forces of the actuators.
 
+    act_force = (force, d/dlength, d/dvelocity, d/du, d/dact, dgain/dvelocity, d2/dvelocity dlength, d2/dvelocity2).
     Clears act_free for the dofs whose joint clips what the actuators exert on it together.
     """
     dof_qadr = integers(job.dof_qadr, job.nv)
@@ -234,7 +245,10 @@ def actuate(job):
     qpos = vector(job.qpos, job.nq)
     qvel = vector(job.qvel, job.nv)
     act_input = matrix(job.act_input, job.nu, 3)
-    act_force = matrix(job.act_force, job.nu, 6)
+    act_force = matrix(job.act_force, job.nu, 8)
+    act_muscle = matrix(job.act_muscle, job.nu, MUSCLE_NUMBERS)
+    act_arm = integers(job.act_arm, job.nu)
+    arm_motion = matrix(job.arm_motion, job.narm, 2)
     act_free = vector(job.act_free, job.nv)
     act_sum = vector(job.act_sum, job.nv)
     for j in range(job.nv):
@@ -248,18 +262,27 @@ def actuate(job):
             if dof_qadr[j] >= 0:
                 length += act_coef[k] * qpos[dof_qadr[j]]
             velocity += act_coef[k] * qvel[j]
-        gain = prm[GAIN] + prm[GAIN + 1] * length + prm[GAIN + 2] * velocity
-        bias = prm[BIAS] + prm[BIAS + 1] * length + prm[BIAS + 2] * velocity
-        x = act_input[i, 0]
+        if act_arm[i] >= 0:
+            length, velocity = arm_motion[act_arm[i], 0], arm_motion[act_arm[i], 1]
+        x, gain_l, gain_v, bias_l, bias_v = act_input[i, 0], prm[GAIN + 1], prm[GAIN + 2], prm[BIAS + 1], prm[BIAS + 2]
+        gain = prm[GAIN] + gain_l * length + gain_v * velocity
+        bias = prm[BIAS] + bias_l * length + bias_v * velocity
+        gain_vl, gain_vv = 0.0, 0.0
+        if act_muscle[i, MUSCLE_GAIN + 2] != 0.0:
+            gain, gain_l, gain_v, gain_vl, gain_vv = muscle_gain(act_muscle[i], length, velocity)
+        if act_muscle[i, MUSCLE_BIAS + 2] != 0.0:
+            bias, bias_l = muscle_bias(act_muscle[i], length)
         force, inside = _clip(gain * x + bias, prm[FORCE_RANGE], prm[FORCE_RANGE + 1])
         if act_enabled[i] == 0:
             force, inside = 0.0, 0.0
         act_force[i, 0] = force
-        act_force[i, 1] = inside * (prm[GAIN + 1] * x + prm[BIAS + 1])
-        act_force[i, 2] = inside * (prm[GAIN + 2] * x + prm[BIAS + 2])
+        act_force[i, 1] = inside * (gain_l * x + bias_l)
+        act_force[i, 2] = inside * (gain_v * x + bias_v)
         act_force[i, 3] = inside * gain * act_input[i, 1]
         act_force[i, 4] = inside * gain * act_input[i, 2]
-        act_force[i, 5] = inside * prm[GAIN + 2]
+        act_force[i, 5] = inside * gain_v
+        act_force[i, 6] = inside * gain_vl * x
+        act_force[i, 7] = inside * gain_vv * x
         for k in range(act_first[i], act_first[i + 1]):
             act_sum[act_dof[k]] += act_coef[k] * force
     for j in range(job.nv):
@@ -275,10 +298,13 @@ def add_actuators(job, acc, F, T, E):
     act_coef = vector(job.act_coef, job.nact_coef)
     act_adr = integers(job.act_adr, job.nu)
     act_input = matrix(job.act_input, job.nu, 3)
-    act_force = matrix(job.act_force, job.nu, 6)
+    act_force = matrix(job.act_force, job.nu, 8)
     act_free = vector(job.act_free, job.nv)
+    act_arm = integers(job.act_arm, job.nu)
     nv, na = job.nv, job.na
     for i in range(job.nu):
+        if act_arm[i] >= 0:
+            continue
         by_length, by_velocity, by_u, by_act = (
             act_force[i, 1],
             act_force[i, 2],
@@ -286,10 +312,11 @@ def add_actuators(job, acc, F, T, E):
             act_force[i, 4],
         )
         column_u, column_act = 2 * nv + na + i, 2 * nv + act_adr[i]
-        rate = 0.0
+        pace = 0.0
         if job.implicit >= 2 and act_force[i, 5] != 0.0:
             for k in range(act_first[i], act_first[i + 1]):
-                rate += job.h * act_force[i, 5] * act_coef[k] * acc[act_dof[k]]
+                pace += job.h * act_coef[k] * acc[act_dof[k]]
+        rate = act_force[i, 5] * pace
         for k in range(act_first[i], act_first[i + 1]):
             j = act_dof[k]
             c = act_coef[k] * act_free[j]
@@ -301,6 +328,9 @@ def add_actuators(job, acc, F, T, E):
                     F[j, act_dof[n]] += c * act_coef[n] * by_length
                     F[j, nv + act_dof[n]] += c * act_coef[n] * by_velocity
                     T[j, act_dof[n]] += c * act_coef[n] * by_velocity
+                    if act_force[i, 6] != 0.0 or act_force[i, 7] != 0.0:
+                        E[j, act_dof[n]] += c * act_coef[n] * act_force[i, 6] * pace
+                        E[j, nv + act_dof[n]] += c * act_coef[n] * act_force[i, 7] * pace
             if rate != 0.0:
                 E[j, column_u] += c * rate * act_input[i, 1]
                 if act_adr[i] >= 0:
@@ -321,16 +351,17 @@ def add_site_actuators(job, F):
     act_adr = integers(job.act_adr, job.nu)
     act_site = integers(job.act_site, job.nu)
     act_body = integers(job.act_body, job.nu)
+    act_arm = integers(job.act_arm, job.nu)
     act_gear = matrix(job.act_gear, job.nu, 6)
     cdof = matrix(job.cdof, job.nv, 6)
     subtree_com = matrix(job.subtree_com, job.nbody, 3)
     site_xpos = matrix(job.site_xpos, job.nsite, 3)
     site_xmat = matrix(job.site_xmat, job.nsite, 9)
-    act_force = matrix(job.act_force, job.nu, 6)
+    act_force = matrix(job.act_force, job.nu, 8)
     nv, na = job.nv, job.na
     for i in range(job.nu):
         site = act_site[i]
-        if site < 0:
+        if site < 0 or act_arm[i] >= 0:
             continue
         body, R, gear = act_body[i], site_xmat[site], act_gear[i]
         push = _turn(R, gear[0], gear[1], gear[2])

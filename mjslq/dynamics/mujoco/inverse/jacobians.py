@@ -12,10 +12,13 @@ import numpy as np
 from mjslq._validation import Array
 from mjslq.dynamics._base import Linearization
 from mjslq.dynamics.mujoco import kernels
+from mjslq.dynamics.mujoco.inverse.arm_plan import arm_table
+from mjslq.dynamics.mujoco.inverse.fluid_plan import fluid_table
 from mjslq.dynamics.mujoco.inverse.job import INDICES, JOB, VIEWS, WORK
 from mjslq.dynamics.mujoco.inverse.layout import offsets
 from mjslq.dynamics.mujoco.inverse.outputs import sensors
 from mjslq.dynamics.mujoco.inverse.plan import arrays, plan, row_model
+from mjslq.dynamics.mujoco.inverse.remainder import covered_part, remainder, rest_part, rest_table
 from mjslq.dynamics.mujoco.library import copied
 
 if TYPE_CHECKING:
@@ -27,8 +30,15 @@ class InverseJacobians:
 
     def __init__(self, horizon: Horizon, eps: float, centered: bool):
         self._horizon = horizon
-        self._table = (
-            plan(horizon.model) | arrays(sensors(horizon.model)) | arrays({"eps": eps, "centered": int(centered)})
+        model = horizon.model
+        rest = remainder(model)
+        self._rest = rest_part(model, rest) if rest.exists else None
+        self._table = plan(covered_part(model, rest)) | arrays(
+            sensors(model)
+            | fluid_table(model)
+            | arm_table(model, rest)
+            | rest_table(model, rest)
+            | {"eps": eps, "centered": int(centered)}
         )
         self._row_model = row_model(horizon.model)
         self._work = [self._workspace() for _ in range(horizon.workers.count)]
@@ -59,7 +69,11 @@ class InverseJacobians:
     def _blank_jobs(self) -> np.ndarray[Any, Any]:
         """A job for each worker, with all that is the same at every call filled in."""
         jobs = np.zeros(len(self._work), JOB)
-        jobs["model"], jobs["row_model"] = self._horizon.model._address, self._row_model._address
+        model = self._horizon.model
+        jobs["model"], jobs["row_model"] = model._address, self._row_model._address
+        jobs["rest_model"] = self._rest._address if self._rest else 0
+        for name in ("ten_J_rownnz", "ten_J_rowadr", "ten_J_colind"):
+            jobs[name] = getattr(model, name).ctypes.data
         for name, value in self._table.items():
             jobs[name] = value.ctypes.data if value.ndim else value
         for name, at in offsets().items():

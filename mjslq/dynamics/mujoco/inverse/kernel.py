@@ -41,9 +41,12 @@ import numpy as np
 from numba import types
 
 from mjslq.dynamics.mujoco.inverse.algebra import add_product, factorize, solve
+from mjslq.dynamics.mujoco.inverse.arms import add_arms, measure_arms
 from mjslq.dynamics.mujoco.inverse.columns import ARMATURE, TENDON_NUMBERS
 from mjslq.dynamics.mujoco.inverse.constraints import add_rows, evaluate_rows, find_rows, read_row
 from mjslq.dynamics.mujoco.inverse.differences import add_differences, mj_comPos, mj_kinematics
+from mjslq.dynamics.mujoco.inverse.fluid import add_fluid
+from mjslq.dynamics.mujoco.inverse.force_differences import add_force_differences
 from mjslq.dynamics.mujoco.inverse.forces import (
     activate,
     actuate,
@@ -121,7 +124,11 @@ def _smooth_forces(job):
             M_hat[i, i] = -job.h * T[i, i]  # Euler takes the joints' damping implicitly, and nothing else
     add_tendons(job, acc_d, F, T, E)
     activate(job)
+    if job.narm > 0:
+        measure_arms(job)
     actuate(job)
+    if job.narm > 0:
+        add_arms(job, acc_d, F, T, E)
     add_actuators(job, acc_d, F, T, E)
     add_site_actuators(job, F)
     if job.compensated:
@@ -130,6 +137,8 @@ def _smooth_forces(job):
         add_metric(job, acc_d, F, T, E)
     if job.gyroscopic:
         _gyroscopic(job)
+    if job.nfluid > 0:
+        add_fluid(job, acc_d, F, T, E)
 
 
 @compiled
@@ -336,6 +345,13 @@ def _write_step(job, v_next, A, B):
         if k >= 0:
             A[2 * nv + k, 2 * nv + k] = next_act[i, 1]
             B[2 * nv + k, i] = next_act[i, 0]
+    following, rows = integers(job.rest_next, job.nrest_next), matrix(job.rest_rows, job.na, job.columns)
+    for n in range(following.shape[0]):
+        k = following[n]
+        for c in range(ndx):
+            A[2 * nv + k, c] = rows[k, c]
+        for c in range(job.nu):
+            B[2 * nv + k, c] = rows[k, ndx + c]
 
 
 @compiled
@@ -376,6 +392,8 @@ def _linearize_knot(job, x, v_next, A, B):
     if job.gyroscopic:
         _find_spinning(job, rows)
     _smooth_forces(job)
+    if job.rest_model != 0:
+        add_force_differences(job, x)
     fine = _smooth_step(job) if rows == 0 else _constrained_step(job, x)
     _write_step(job, v_next, A, B)
     if not fine:

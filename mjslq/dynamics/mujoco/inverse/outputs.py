@@ -13,6 +13,7 @@ import numpy as np
 
 from mjslq.dynamics.mujoco.inverse import columns
 from mjslq.dynamics.mujoco.inverse.plan import ON_JOINTS, SCALAR, TRN, tendon_dofs, whole
+from mjslq.dynamics.mujoco.inverse.remainder import Remainder, is_spatial, remainder
 
 _SENSOR, _OBJECT = whole(mujoco.mjtSensor), whole(mujoco.mjtObj)
 TYPES = {int(kind): name.removeprefix("mjSENS_").lower() for name, kind in mujoco.mjtSensor.__members__.items()}
@@ -45,19 +46,20 @@ _ON_SUBTREES = {
 }
 
 
-def sensor_kind(model: mujoco.MjModel, s: int) -> int:
-    """Kind of sensor s; BY_DIFFERENCES when there is no closed form for it."""
+def sensor_kind(model: mujoco.MjModel, s: int, rest: Remainder) -> int:
+    """Kind of sensor s; BY_DIFFERENCES when there is no closed form for it, or for the force it reads."""
     kind, target = int(model.sensor_type[s]), int(model.sensor_objid[s])
     if model.sensor_cutoff[s] > 0:
         return columns.BY_DIFFERENCES
     if kind in _ON_DOFS:
         shared = model.jnt_actgravcomp[target] or (model.actuator_trntype == TRN.mjTRN_SITE).any()
-        unknown = kind == _SENSOR.mjSENS_JOINTACTFRC and shared
+        unknown = kind == _SENSOR.mjSENS_JOINTACTFRC and (shared or (rest.actuators | rest.swinging).any())
         return columns.BY_DIFFERENCES if unknown else _ON_DOFS[kind]
     if kind in _ON_TENDONS:
         return _ON_TENDONS[kind] if len(tendon_dofs(model, target)[0]) else columns.BY_DIFFERENCES
     if kind == _SENSOR.mjSENS_ACTUATORFRC:
-        return columns.ACTUATOR_FORCE
+        known = _has_row(model) and not (rest.actuators | rest.swinging)[target]
+        return columns.ACTUATOR_FORCE if known else columns.BY_DIFFERENCES
     if kind in _ON_ACTUATORS:
         return _ON_ACTUATORS[kind] if _has_length(model, target) else columns.BY_DIFFERENCES
     if kind in _ON_FRAMES:
@@ -73,7 +75,8 @@ def sensor_kind(model: mujoco.MjModel, s: int) -> int:
 def sensors(model: mujoco.MjModel) -> dict[str, Any]:
     """Kinds, addresses, targets and frames of the sensors."""
     count = model.nsensor
-    kinds = np.array([sensor_kind(model, s) for s in range(count)], np.int64)
+    rest = remainder(model)
+    kinds = np.array([sensor_kind(model, s, rest) for s in range(count)], np.int64)
     target, body, reference = np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros(count, np.int64)
     prm = np.zeros((count, columns.FRAME_NUMBERS))
     for s, kind in enumerate(kinds):
@@ -100,7 +103,16 @@ def sensors(model: mujoco.MjModel) -> dict[str, Any]:
 def _has_length(model: mujoco.MjModel, i: int) -> bool:
     """Whether the length of actuator i is linear in the joints' positions."""
     kind, target = model.actuator_trntype[i], model.actuator_trnid[i, 0]
-    return bool(kind == TRN.mjTRN_TENDON or (kind in ON_JOINTS and model.jnt_type[target] in SCALAR))
+    if not _has_row(model):
+        return False
+    if kind == TRN.mjTRN_TENDON:
+        return not is_spatial(model, target)
+    return bool(kind in ON_JOINTS and model.jnt_type[target] in SCALAR)
+
+
+def _has_row(model: mujoco.MjModel) -> bool:
+    """Whether actuators, controls and forces are numbered alike."""
+    return bool(model.nactuator == model.nu == model.nout)
 
 
 def _frame(model: mujoco.MjModel, kind: int, index: int) -> tuple[int, Any, Any] | None:

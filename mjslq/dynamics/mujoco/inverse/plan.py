@@ -55,7 +55,7 @@ def plan(model: mujoco.MjModel) -> Table:
         "body_dofnum": model.body_dofnum, "body_lastdof": _last_dofs(model), "dof_bodyid": model.dof_bodyid,
         "dof_parentid": model.dof_parentid, "dof_qadr": _position_addresses(model),
         "dof_force_range": _force_ranges(model), "dof_damping": dampers(model), "dof_armature": _armature(model),
-        "body_gravcomp": model.body_gravcomp, "dof_treeid": model.dof_treeid,
+        "site_bodyid": model.site_bodyid, "body_gravcomp": model.body_gravcomp, "dof_treeid": model.dof_treeid,
         "gravity": np.zeros(3) if disabled(model, OFF.mjDSBL_GRAVITY) else model.opt.gravity,
     }  # fmt: skip
     compensates = bool(model.body_gravcomp.any()) and bool(np.any(table["gravity"]))
@@ -125,19 +125,24 @@ def dampers(model: mujoco.MjModel) -> Any:
     if disabled(model, OFF.mjDSBL_DAMPER):
         return np.zeros((model.nv, 3))
     dampers = np.column_stack([model.dof_damping, model.dof_dampingpoly])
-    for i in range(model.nu):
+    for i in range(model.nactuator):
         if (joint := joint_of(model, i)) >= 0:
             own = np.append(model.actuator_damping[i], model.actuator_dampingpoly[i])
-            dampers[model.jnt_dofadr[joint]] += model.actuator_gear[i, 0] ** 2 * own
+            dampers[model.jnt_dofadr[joint]] += _gear(model, i)[0] ** 2 * own
     return dampers
 
 
 def _armature(model: mujoco.MjModel) -> Any:
     armature = np.array(model.dof_armature)
-    for i in range(model.nu):
+    for i in range(model.nactuator):
         if (joint := joint_of(model, i)) >= 0:
-            armature[model.jnt_dofadr[joint]] += model.actuator_gear[i, 0] ** 2 * model.actuator_armature[i]
+            armature[model.jnt_dofadr[joint]] += _gear(model, i)[0] ** 2 * model.actuator_armature[i]
     return armature
+
+
+def _gear(model: mujoco.MjModel, i: int) -> Any:
+    """Gear of actuator i, of its first output if it has several. Shape (6,)."""
+    return model.actuator_gear[model.actuator_outadr[i]]
 
 
 def _force_ranges(model: mujoco.MjModel) -> Any:
@@ -246,15 +251,16 @@ def tendons(model: mujoco.MjModel) -> dict[str, Any]:
         if not disabled(model, OFF.mjDSBL_DAMPER):
             prm[:, columns.DAMPING] = model.tendon_damping
             prm[:, columns.DAMPING + 1 : columns.DAMPING + 3] = model.tendon_dampingpoly
-    for i in range(model.nu):
+    for i in range(model.nactuator):
         if model.actuator_trntype[i] == TRN.mjTRN_TENDON:
-            tendon, square = model.actuator_trnid[i, 0], model.actuator_gear[i, 0] ** 2
+            tendon, square = model.actuator_trnid[i, 0], _gear(model, i)[0] ** 2
             prm[tendon, columns.ARMATURE] += square * model.actuator_armature[i]
             own = np.append(model.actuator_damping[i], model.actuator_dampingpoly[i])
             if disabled(model, OFF.mjDSBL_DAMPER):
                 own = np.zeros(3)
             prm[tendon, columns.DAMPING : columns.DAMPING + 3] += square * own
-    return {"ten_prm": prm} | _lists("ten", paths)
+    constant = np.array([len(dofs) > 0 for dofs, _ in paths], bool)
+    return {"ten_prm": prm, "ten_constant": constant} | _lists("ten", paths)
 
 
 def _lists(name: str, paths: list[tuple[Any, Any]]) -> dict[str, Any]:
@@ -268,36 +274,56 @@ def _lists(name: str, paths: list[tuple[Any, Any]]) -> dict[str, Any]:
 
 
 def _actuators(model: mujoco.MjModel) -> dict[str, Any]:
-    """Moment arms, gains, biases, limits, and the dynamics of activations."""
+    """Moment arms, gains, biases, limits, and the dynamics of activations, in rows for the controls."""
+    of = np.repeat(np.arange(model.nactuator), model.actuator_ctrlnum)
     prm = np.zeros((model.nu, columns.ACTUATOR_NUMBERS))
-    affine_gain = (model.actuator_gaintype == GAIN.mjGAIN_AFFINE)[:, None]
-    affine_bias = (model.actuator_biastype == BIAS.mjBIAS_AFFINE)[:, None]
-    prm[:, columns.GAIN : columns.GAIN + 3] = model.actuator_gainprm[:, :3] * np.hstack(
-        [affine_gain | True, affine_gain, affine_gain]
+    constant_gain = (model.actuator_gaintype[of] != GAIN.mjGAIN_MUSCLE)[:, None]
+    affine_gain = (model.actuator_gaintype[of] == GAIN.mjGAIN_AFFINE)[:, None]
+    affine_bias = (model.actuator_biastype[of] == BIAS.mjBIAS_AFFINE)[:, None]
+    prm[:, columns.GAIN : columns.GAIN + 3] = model.actuator_gainprm[of, :3] * np.hstack(
+        [constant_gain, affine_gain, affine_gain]
     )
-    prm[:, columns.BIAS : columns.BIAS + 3] = model.actuator_biasprm[:, :3] * affine_bias
-    prm[:, columns.TIME_CONSTANT] = np.maximum(model.actuator_dynprm[:, 0], mujoco.mjMINVAL)
+    prm[:, columns.BIAS : columns.BIAS + 3] = model.actuator_biasprm[of, :3] * affine_bias
+    prm[:, columns.TIME_CONSTANT] = np.maximum(model.actuator_dynprm[of, 0], mujoco.mjMINVAL)
     clamped = np.asarray(model.actuator_ctrllimited, bool) & (not disabled(model, OFF.mjDSBL_CLAMPCTRL))
     prm[:, columns.CTRL_RANGE : columns.CTRL_RANGE + 2] = _ranges(clamped, model.actuator_ctrlrange)
-    prm[:, columns.FORCE_RANGE : columns.FORCE_RANGE + 2] = _ranges(
-        model.actuator_forcelimited, model.actuator_forcerange
-    )
-    prm[:, columns.ACT_RANGE : columns.ACT_RANGE + 2] = _ranges(model.actuator_actlimited, model.actuator_actrange)
-    groups = np.clip(model.actuator_group, 0, 31)
-    on_site = model.actuator_trntype == TRN.mjTRN_SITE
-    sites = np.where(on_site, model.actuator_trnid[:, 0], -1)
+    force_range = _ranges(model.actuator_forcelimited, model.actuator_forcerange)
+    prm[:, columns.FORCE_RANGE : columns.FORCE_RANGE + 2] = force_range[of]
+    prm[:, columns.ACT_RANGE : columns.ACT_RANGE + 2] = _ranges(model.actuator_actlimited, model.actuator_actrange)[of]
+    groups = np.clip(model.actuator_group[of], 0, 31)
+    on_site = model.actuator_trntype[of] == TRN.mjTRN_SITE
+    sites = np.where(on_site, model.actuator_trnid[of, 0], -1)
     return {
-        "act_prm": prm, "act_adr": np.where(model.actuator_actnum > 0, model.actuator_actadr, -1),
-        "act_dynamics": model.actuator_dyntype, "act_early": np.asarray(model.actuator_actearly, np.int64),
+        "act_prm": prm, "act_muscle": _muscles(model, of), "act_dynamics": model.actuator_dyntype[of],
+        "act_adr": np.where(model.actuator_actnum > 0, model.actuator_actadr, -1)[of],
+        "act_early": np.asarray(model.actuator_actearly, np.int64)[of],
         "act_enabled": ((model.opt.disableactuator >> groups) & 1) == 0,
         "act_site": sites, "act_body": np.where(on_site, model.site_bodyid[sites], -1) if model.nsite else sites,
-        "act_gear": model.actuator_gear,
-    } | _lists("act", [_moment(model, i) for i in range(model.nu)])  # fmt: skip
+        "act_gear": model.actuator_gear[model.actuator_outadr[of]],
+    } | _lists("act", [_moment(model, int(i)) for i in of])  # fmt: skip
+
+
+def _muscles(model: mujoco.MjModel, of: Any) -> Any:
+    """Parameters of muscles, for the controls of the actuators `of`: columns.MUSCLE_NUMBERS of them, else zeros."""
+    prm = np.zeros((len(of), columns.MUSCLE_NUMBERS))
+    for row, i in zip(prm, of, strict=True):
+        out = model.actuator_outadr[i]
+        row[columns.LENGTH_RANGE : columns.LENGTH_RANGE + 2] = model.actuator_lengthrange[out]
+        for at, kind, muscle, given in (
+            (columns.MUSCLE_GAIN, model.actuator_gaintype[i], GAIN.mjGAIN_MUSCLE, model.actuator_gainprm[i]),
+            (columns.MUSCLE_BIAS, model.actuator_biastype[i], BIAS.mjBIAS_MUSCLE, model.actuator_biasprm[i]),
+        ):
+            if kind == muscle:
+                row[at : at + 9] = given[:9]
+                row[at + 2] = given[2] if given[2] >= 0 else given[3] / max(mujoco.mjMINVAL, model.actuator_acc0[out])
+        if model.actuator_dyntype[i] == DYN.mjDYN_MUSCLE:
+            row[columns.MUSCLE_TIMES : columns.MUSCLE_TIMES + 3] = model.actuator_dynprm[i, :3]
+    return prm
 
 
 def _moment(model: mujoco.MjModel, i: int) -> tuple[Any, Any]:
     """Dofs and coefficients of an actuator's constant moment arm; empty for one at a site."""
-    kind, target, gear = model.actuator_trntype[i], model.actuator_trnid[i, 0], model.actuator_gear[i]
+    kind, target, gear = model.actuator_trntype[i], model.actuator_trnid[i, 0], _gear(model, i)
     if kind == TRN.mjTRN_TENDON:
         dofs, coefficients = tendon_dofs(model, target)
         return dofs, gear[0] * coefficients
