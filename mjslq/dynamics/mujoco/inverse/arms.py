@@ -27,7 +27,7 @@ import math
 
 from numba import types
 
-from mjslq.dynamics.mujoco.inverse.columns import BAND, DAMPING, STIFFNESS, TENDON_NUMBERS
+from mjslq.dynamics.mujoco.inverse.columns import BAND, DAMPING, FORCE_NUMBERS, STIFFNESS, TENDON_NUMBERS
 from mjslq.dynamics.mujoco.inverse.constraints import mj_tendon
 from mjslq.dynamics.mujoco.inverse.differences import mj_comPos, mj_integratePos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.job import flags, integers, matrix, vector
@@ -226,7 +226,7 @@ def add_arms(job, acc, F, T, E):
         integers(job.arm_row, job.narm),
         matrix(job.arm_prm, job.narm, TENDON_NUMBERS),
     )
-    force, motion = matrix(job.act_force, job.nu, 8), matrix(job.arm_motion, job.narm, 2)
+    force, motion = matrix(job.act_force, job.nu, FORCE_NUMBERS), matrix(job.arm_motion, job.narm, 2)
     first, J = integers(job.arm_first, job.narm + 1), vector(job.arm_J, job.narm_dof)
     dofs, L = integers(job.arm_dof, job.narm_dof), vector(job.arm_L, job.narm_dof)
     for a in range(job.narm):
@@ -272,7 +272,7 @@ def _add_arm(job, a, acc, s, s_l, s_v, s_vl, s_vv, dofs, J, L, F, T, E):
 def _add_signals(job, a, acc, dofs, J, F, E):
     """Columns of an actuator's control and activation."""
     i = integers(job.arm_row, job.narm)[a]
-    force, given = matrix(job.act_force, job.nu, 8), matrix(job.act_input, job.nu, 3)
+    force, given = matrix(job.act_force, job.nu, FORCE_NUMBERS), matrix(job.act_input, job.nu, 3)
     act = integers(job.act_adr, job.nu)[i]
     control = 2 * job.nv + job.na + i
     for j in range(dofs.shape[0]):

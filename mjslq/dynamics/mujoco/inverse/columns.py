@@ -18,3 +18,5 @@ OTHER, PLANE, MESH, SPHERE, CAPSULE, BOX = range(6)
 """Kinds of sensors, by the formula of their derivative."""
 FRAME_NUMBERS = 14
 """Columns of sen_prm: place (3) and orientation (4) of the object in its body, the same of the reference."""
+FORCE_NUMBERS = 8
+"""Columns of act_force, which `forces` fills: force, its slopes by length, velocity, u and act, and changes of those."""

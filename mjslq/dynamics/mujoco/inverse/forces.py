@@ -32,6 +32,7 @@ from mjslq.dynamics.mujoco.inverse.columns import (
     BIAS,
     CTRL_RANGE,
     DAMPING,
+    FORCE_NUMBERS,
     FORCE_RANGE,
     GAIN,
     MUSCLE_BIAS,
@@ -245,7 +246,7 @@ def actuate(job):
     qpos = vector(job.qpos, job.nq)
     qvel = vector(job.qvel, job.nv)
     act_input = matrix(job.act_input, job.nu, 3)
-    act_force = matrix(job.act_force, job.nu, 8)
+    act_force = matrix(job.act_force, job.nu, FORCE_NUMBERS)
     act_muscle = matrix(job.act_muscle, job.nu, MUSCLE_NUMBERS)
     act_arm = integers(job.act_arm, job.nu)
     arm_motion = matrix(job.arm_motion, job.narm, 2)
@@ -298,7 +299,7 @@ def add_actuators(job, acc, F, T, E):
     act_coef = vector(job.act_coef, job.nact_coef)
     act_adr = integers(job.act_adr, job.nu)
     act_input = matrix(job.act_input, job.nu, 3)
-    act_force = matrix(job.act_force, job.nu, 8)
+    act_force = matrix(job.act_force, job.nu, FORCE_NUMBERS)
     act_free = vector(job.act_free, job.nv)
     act_arm = integers(job.act_arm, job.nu)
     nv, na = job.nv, job.na
@@ -357,7 +358,7 @@ def add_site_actuators(job, F):
     subtree_com = matrix(job.subtree_com, job.nbody, 3)
     site_xpos = matrix(job.site_xpos, job.nsite, 3)
     site_xmat = matrix(job.site_xmat, job.nsite, 9)
-    act_force = matrix(job.act_force, job.nu, 8)
+    act_force = matrix(job.act_force, job.nu, FORCE_NUMBERS)
     nv, na = job.nv, job.na
     for i in range(job.nu):
         site = act_site[i]

@@ -24,6 +24,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from mjslq.dynamics.mujoco.inverse.columns import FORCE_NUMBERS
 from mjslq.dynamics.mujoco.inverse.layout import ARENA, CONTACT, COUNTS
 from mjslq.dynamics.mujoco.kernels import _pointer
 
@@ -62,7 +63,7 @@ VIEWS = (
 WORK: dict[str, tuple[int | str, int | str]] = {
     "body_vel": ("nbody", 6), "body_acc": ("nbody", 6), "body_momentum": ("nbody", 6), "body_force": ("nbody", 6),
     "body_Y": ("nbody", 6), "body_inertia": ("nbody", 10), "dof_P": ("nv", 6), "dof_Q": ("nv", 6), "dof_R": ("nv", 6),
-    "act_input": ("nu", 3), "next_act": ("nu", 2), "act_force": ("nu", 8), "act_free": ("nv", 1), "act_sum": ("nv", 1),
+    "act_input": ("nu", 3), "next_act": ("nu", 2), "act_force": ("nu", FORCE_NUMBERS), "act_free": ("nv", 1), "act_sum": ("nv", 1),
     "M": ("nv", "nv"), "M_hat": ("nv", "nv"), "G": ("nv", "nv"), "T": ("nv", "nv"), "F": ("nv", "columns"),
     "E": ("nv", "columns"), "mixed": ("nv", "columns"), "acc_d": ("nv", 1), "acc_c": ("nv", 1), "change": ("nv", 1),
     "small": (24, 1), "jacobian": (10, "nv"), "directions": (10, 6), "djar": (10, 1), "before_a": ("nv", 6),

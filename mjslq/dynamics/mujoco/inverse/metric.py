@@ -23,7 +23,15 @@ import math
 
 from numba import types
 
-from mjslq.dynamics.mujoco.inverse.columns import ACTUATOR_NUMBERS, BAND, DAMPING, GAIN, STIFFNESS, TENDON_NUMBERS
+from mjslq.dynamics.mujoco.inverse.columns import (
+    ACTUATOR_NUMBERS,
+    BAND,
+    DAMPING,
+    FORCE_NUMBERS,
+    GAIN,
+    STIFFNESS,
+    TENDON_NUMBERS,
+)
 from mjslq.dynamics.mujoco.inverse.job import integers, matrix, vector
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
 from mjslq.dynamics.mujoco.kernels import _address, _void
@@ -142,7 +150,7 @@ def _add_actuators(job, acc, F, T, E, slope):
     act_first, act_dof = integers(job.act_first, job.nu + 1), integers(job.act_dof, job.nact_coef)
     act_coef, act_prm = vector(job.act_coef, job.nact_coef), matrix(job.act_prm, job.nu, ACTUATOR_NUMBERS)
     act_adr, act_free = integers(job.act_adr, job.nu), vector(job.act_free, job.nv)
-    act_input, act_force = matrix(job.act_input, job.nu, 3), matrix(job.act_force, job.nu, 6)
+    act_input, act_force = matrix(job.act_input, job.nu, 3), matrix(job.act_force, job.nu, FORCE_NUMBERS)
     qvel, h, nv, na = vector(job.qvel, job.nv), job.h, job.nv, job.na
     for a in range(job.nu):
         first, last, prm = act_first[a], act_first[a + 1], act_prm[a]

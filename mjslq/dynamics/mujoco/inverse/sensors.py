@@ -153,7 +153,7 @@ def _clear(C, D, row, size):
 @inlined
 def _add_force(job, i, scale, row, C, D):
     """Add the derivative of actuator i's force, times a number, to a row."""
-    force, act = matrix(job.act_force, job.nu, 8), integers(job.act_adr, job.nu)[i]
+    force, act = matrix(job.act_force, job.nu, columns.FORCE_NUMBERS), integers(job.act_adr, job.nu)[i]
     first = integers(job.act_first, job.nu + 1)
     dofs, coefficients = integers(job.act_dof, job.nact_coef), vector(job.act_coef, job.nact_coef)
     for k in range(first[i], first[i + 1]):
