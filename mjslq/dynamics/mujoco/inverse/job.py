@@ -30,22 +30,25 @@ SIZES = (
     "N", "first", "last", "nq", "nv", "na", "nu", "ny", "columns", "nbody", "ngeom", "nsite", "nspring", "nball",
     "ntendon", "nten_coef", "nact_coef", "nquat", "implicit", "gyroscopic", "compensated", "constrained", "neq",
     "bodies_tied",
-    "nsensor", "sensors_differenced", "sparse", "centered",
+    "nsensor", "sensors_differenced", "sensors_accelerated", "sensors_on_rows", "sensors_of_energy", "sensors_cut",
+    "sparse", "centered",
 )  # fmt: skip
 INTEGERS = (
     "body_parentid", "body_rootid", "body_dofadr", "body_dofnum", "body_lastdof", "dof_bodyid", "dof_parentid",
     "dof_group", "dof_groupend", "dof_qadr", "dof_gyroscopic", "spring_dof", "spring_qadr", "ball_dof", "ball_qadr",
     "ten_first", "ten_dof", "act_first", "act_dof", "act_adr", "act_dynamics", "act_early", "act_enabled", "act_site",
     "act_body", "quat_dof", "geom_bodyid", "geom_kind", "dof_treeid", "jnt_scalar",
-    "sen_kind", "sen_adr", "sen_target", "sen_body", "sen_reference", "eq_joint", "eq_dof",
+    "sen_kind", "sen_adr", "sen_dim", "sen_stage", "sen_target", "sen_body", "sen_reference", "sen_sides", "sen_fields",
+    "sen_reduction", "act_tendon", "site_type", "eq_joint", "eq_dof",
 )  # fmt: skip
 NUMBERS = (
     "dof_armature", "dof_damping", "dof_force_range", "body_gravcomp", "spring_prm", "ball_prm", "ten_coef", "ten_prm",
-    "act_coef", "act_prm", "act_gear", "gravity", "geom_radius", "geom_size", "sen_prm", "eq_prm", "body_subtreemass",
+    "act_coef", "act_prm", "act_gear", "gravity", "geom_radius", "geom_size", "sen_prm",
+    "sen_range", "ctrl_range", "site_size", "magnetic", "eq_prm", "body_subtreemass",
 )  # fmt: skip
 VIEWS = (
     "qpos", "qvel", "act", "ctrl", "qacc", "cdof", "cinert", "subtree_com", "site_xpos", "site_xmat", "geom_xpos",
-    "geom_xmat", "qacc_warmstart", "xpos", "xquat",
+    "geom_xmat", "qacc_warmstart", "xpos", "xquat", "sensordata",
 )  # fmt: skip
 WORK: dict[str, tuple[int | str, int | str]] = {
     "body_vel": ("nbody", 6), "body_acc": ("nbody", 6), "body_momentum": ("nbody", 6), "body_force": ("nbody", 6),
@@ -55,6 +58,7 @@ WORK: dict[str, tuple[int | str, int | str]] = {
     "E": ("nv", "columns"), "mixed": ("nv", "columns"), "acc_d": ("nv", 1), "acc_c": ("nv", 1), "change": ("nv", 1),
     "small": (24, 1), "jacobian": (10, "nv"), "directions": (10, 6), "djar": (10, 1), "before_a": ("nv", 6),
     "before_v": ("nv", 6), "values": ("nv", 1), "plus": ("nv", 1), "minus": ("nv", 1),
+    "acc_rate": ("nv", "columns"), "lever": ("nv", 3), "covectors": (3, 18), "reading": ("ny", 1), "middle": ("ny", 1),
 }  # fmt: skip
 """Shapes of the arrays for intermediate results."""
 INDICES = ("dofs", "chain", "marked", "member")

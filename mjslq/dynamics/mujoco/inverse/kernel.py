@@ -57,7 +57,7 @@ from mjslq.dynamics.mujoco.inverse.rigid import (
     outward,
     subtract_derivatives,
 )
-from mjslq.dynamics.mujoco.inverse.sensors import difference_sensors, write_sensors
+from mjslq.dynamics.mujoco.inverse.sensors import write_sensors
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
 from mjslq.dynamics.mujoco.kernels import (
     _address,
@@ -65,6 +65,7 @@ from mjslq.dynamics.mujoco.kernels import (
     _copy,
     _number,
     _void,
+    mj_forward,
     mj_resetData,
 )
 
@@ -215,21 +216,13 @@ def _constrained_step(job, x):
     """da_d/dz of a step with constraint rows, into F; False when M^ or M + J' H J is singular."""
     M, M_hat, G = matrix(job.M, job.nv, job.nv), matrix(job.M_hat, job.nv, job.nv), matrix(job.G, job.nv, job.nv)
     F, E = matrix(job.F, job.nv, job.columns), matrix(job.E, job.nv, job.columns)
-    mixed, T = matrix(job.mixed, job.nv, job.columns), matrix(job.T, job.nv, job.nv)
+    mixed = matrix(job.mixed, job.nv, job.columns)
     acc_c, acc_d = matrix(job.acc_c, job.nv, 1), vector(job.acc_d, job.nv)
     nv = job.nv
     mass_matrix(job, M)
     _inertia(job)
     fine = _continuous_acceleration(job, M, M_hat, G)
-    evaluate_rows(job, acc_c[:, 0], 1)
-    _assign(G, M)
-    if add_rows(job, acc_c[:, 0], F, G):
-        add_differences(job, x, acc_c[:, 0], F)
-    outward(job, vector(job.qvel, nv), acc_c[:, 0])
-    inward(job)
-    subtract_derivatives(job, F, T)
-    fine = factorize(G) and fine
-    solve(G, F)
+    fine = _differentiate_acceleration(job, x) and fine
     if job.implicit == 0:
         return fine
     change = vector(job.change, nv)
@@ -242,6 +235,25 @@ def _constrained_step(job, x):
     fine = factorize(M_hat) and fine
     solve(M_hat, mixed)
     _assign(F, mixed)
+    return fine
+
+
+@compiled
+def _differentiate_acceleration(job, x):
+    """da_c/dz into F, and into acc_rate for the sensors; False when M + J' H J is singular."""
+    M, G, F = matrix(job.M, job.nv, job.nv), matrix(job.G, job.nv, job.nv), matrix(job.F, job.nv, job.columns)
+    acc_c = vector(job.acc_c, job.nv)
+    evaluate_rows(job, acc_c, 1)
+    _assign(G, M)
+    if add_rows(job, acc_c, F, G):
+        add_differences(job, x, acc_c, F)
+    outward(job, vector(job.qvel, job.nv), acc_c)
+    inward(job)
+    subtract_derivatives(job, F, matrix(job.T, job.nv, job.nv))
+    fine = factorize(G)
+    solve(G, F)
+    if job.sensors_accelerated:
+        _assign(matrix(job.acc_rate, job.nv, job.columns), F)
     return fine
 
 
@@ -333,7 +345,11 @@ def _linearize_knot(job, x, v_next, A, B):
         acc_d[i] = (v_next[i] - x[job.nq + i]) / job.h
     rows = find_rows(job) if job.constrained else 0
     _smooth_forces(job)
-    fine = _smooth_step(job) if rows == 0 else _constrained_step(job, x)
+    plain = rows == 0 and not (job.sensors_accelerated and job.implicit)
+    fine = _smooth_step(job) if plain else _constrained_step(job, x)
+    if plain and job.sensors_accelerated:
+        _copy(acc_d, vector(job.acc_c, job.nv))
+        _assign(matrix(job.acc_rate, job.nv, job.columns), matrix(job.F, job.nv, job.columns))
     _write_step(job, v_next, A, B)
     if not fine:
         _fill(A, np.nan)
@@ -341,15 +357,32 @@ def _linearize_knot(job, x, v_next, A, B):
 
 
 @compiled
-def _visit_last_knot(job):
-    """Prepare what the sensors' derivatives read, where there is no step."""
-    nothing = vector(job.change, job.nv)
+def _visit_last_knot(job, x):
+    """Prepare what the sensors' derivatives read, where there is no step: the acceleration is MuJoCo's own."""
+    acc_c, qacc = vector(job.acc_c, job.nv), vector(job.qacc, job.nv)
+    if not job.sensors_accelerated:
+        activate(job)
+        actuate(job)
+        if job.sensors_on_rows and job.constrained:
+            find_rows(job)
+        for i in range(job.nv):
+            acc_c[i] = 0.0
+        outward(job, vector(job.qvel, job.nv), acc_c)
+        inward(job)
+        return
+    warmstart = vector(job.qacc_warmstart, job.nv)
     for i in range(job.nv):
-        nothing[i] = 0.0
-    activate(job)
-    actuate(job)
-    outward(job, vector(job.qvel, job.nv), nothing)
-    inward(job)
+        warmstart[i] = 0.0
+    mj_forward(job.model, job.data)
+    _copy(qacc, vector(job.acc_d, job.nv))
+    if job.constrained:
+        find_rows(job)
+    _smooth_forces(job)
+    _copy(qacc, acc_c)
+    mass_matrix(job, matrix(job.M, job.nv, job.nv))
+    _inertia(job)
+    if not _differentiate_acceleration(job, x):
+        _fill(matrix(job.acc_rate, job.nv, job.columns), np.nan)
 
 
 def _sources() -> int:
@@ -374,17 +407,15 @@ def _make_kernel(stamp: int) -> Any:
         for n in range(job.first, job.last):
             C, D = matrix(job.C + 8 * n * ny * ndx, ny, ndx), matrix(job.D + 8 * n * ny * nu, ny, nu)
             _load(job, X[n], U[n] if n < job.N else no_control)
-            if job.sensors_differenced:
-                difference_sensors(job, n, C, D)
             mj_kinematics(job.model, job.data)
             mj_comPos(job.model, job.data)
             if n < job.N:
                 A, B = matrix(job.A + 8 * n * ndx * ndx, ndx, ndx), matrix(job.B + 8 * n * ndx * nu, ndx, nu)
                 _linearize_knot(job, X[n], X[n + 1, job.nq : job.nq + job.nv], A, B)
             elif ny > 0:
-                _visit_last_knot(job)
+                _visit_last_knot(job, X[n])
             if ny > 0:
-                write_sensors(job, C, D)
+                write_sensors(job, n, X[n], C, D)
                 if n == job.N:
                     _fill(D, 0.0)
 
