@@ -26,6 +26,8 @@ added at the end, for all that one sensor feels at once.
 
 from __future__ import annotations
 
+from numba import types
+
 from mjslq.dynamics.mujoco.inverse import columns
 from mjslq.dynamics.mujoco.inverse.frames import clear_rows, is_below, moves, pose, turned
 from mjslq.dynamics.mujoco.inverse.job import integers, matrix
@@ -118,7 +120,7 @@ def write_acceleration(job, s, kind, row, C, D):
             drag = add3(velocity_at(by_v, x), add3(cross3(head(S), at_x), cross3(w, dp)))
             put_dof(job, row, i, back, change, drag, dp, C)
         i = parent[i]
-    add_acceleration(job, row, 3, C, D)
+    add_acceleration(job, row, types.int64(3), C, D)
 
 
 @inlined

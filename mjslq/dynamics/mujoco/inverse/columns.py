@@ -15,9 +15,9 @@ OTHER, PLANE, MESH, SPHERE, CAPSULE, BOX = range(6)
 """Kinds of sensors, by the formula of their derivative."""
 FRAME_NUMBERS = 14
 """Columns of sen_prm: place (3) and orientation (4) of the object in its body, the same of the reference."""
-ANY, GEOM, BODY, SUBTREE = range(4)
+ANY, GEOM, BODY, SUBTREE, INSIDE = range(5)
 """What a contact sensor may ask of a contact's side."""
-FOUND, CONTACT_FORCE, CONTACT_TORQUE, DISTANCE, POINT, NORMAL, TANGENT = range(7)
+FOUND, CONTACT_FORCE, CONTACT_TORQUE, DISTANCE, POINT, NORMAL, TANGENT, CONTACT_VEL, CONTACT_TURN, FIELDS = range(10)
 """Fields of a contact sensor's slots, in their order; the bits of its specification."""
-IN_ORDER, NEAREST, NET_FORCE = 0, 1, 3
+IN_ORDER, NEAREST, STRONGEST, NET_FORCE = range(4)
 """How a contact sensor chooses among contacts, mjtContactReduce's numbers."""

@@ -132,7 +132,7 @@ def add_rows(job, acc, F, G):
     margin = vector(entry_address(job.data + job.at_efc_margin), rows)
     jar = vector(entry_address(job.data + job.at_efc_vel), rows)
     dofs, values = integers(job.dofs, job.nv), vector(job.values, job.nv)
-    nv, rest, r = job.nv, False, 0
+    nv, rest, r = job.nv, False, types.int64(0)
     while r < rows:
         kind = kinds[r]
         if kind == ELLIPTIC and states[r] == CONE:

@@ -31,6 +31,7 @@ SIZES = (
     "ntendon", "nten_coef", "nact_coef", "nquat", "implicit", "gyroscopic", "compensated", "constrained", "neq",
     "bodies_tied",
     "nsensor", "sensors_differenced", "sensors_accelerated", "sensors_on_rows", "sensors_of_energy", "sensors_cut",
+    "sensors_of_bodies", "sensors_of_actuators",
     "sparse", "centered",
 )  # fmt: skip
 INTEGERS = (

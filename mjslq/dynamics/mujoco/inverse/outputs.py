@@ -89,7 +89,12 @@ _SIDES = {
     _OBJECT.mjOBJ_GEOM: columns.GEOM,
     _OBJECT.mjOBJ_BODY: columns.BODY,
     _OBJECT.mjOBJ_XBODY: columns.SUBTREE,
+    _OBJECT.mjOBJ_SITE: columns.INSIDE,
 }
+_BODILY = (
+    _SENSOR.mjSENS_ACCELEROMETER, _SENSOR.mjSENS_FORCE, _SENSOR.mjSENS_TORQUE, _SENSOR.mjSENS_FRAMELINACC,
+    _SENSOR.mjSENS_FRAMEANGACC,
+)  # fmt: skip
 _PLAIN_GAINS = (GAIN.mjGAIN_FIXED, GAIN.mjGAIN_AFFINE)
 _PLAIN_BIASES = (BIAS.mjBIAS_NONE, BIAS.mjBIAS_AFFINE)
 _PLAIN_DYNAMICS = (DYN.mjDYN_NONE, DYN.mjDYN_INTEGRATOR, DYN.mjDYN_FILTER, DYN.mjDYN_FILTEREXACT)
@@ -158,12 +163,18 @@ def _stages(model: mujoco.MjModel, kinds: Any) -> dict[str, Any]:
     on_rows = np.isin(model.sensor_type, [*_ON_LIMITS, _SENSOR.mjSENS_CONTACT]) | np.isin(kinds, _ON_CONTACTS)
     on_rows |= differenced & far
     energies = np.isin(model.sensor_type, [_SENSOR.mjSENS_E_POTENTIAL, _SENSOR.mjSENS_E_KINETIC])
+    cut = bool(_cutoffs(model, kinds)["sensors_cut"])
+    pulls = np.isin(model.sensor_type, [*_ON_ACTUATORS, *_ON_TENDONS, _SENSOR.mjSENS_JOINTACTFRC])
+    pulls |= np.isin(model.sensor_type, [_SENSOR.mjSENS_FORCE, _SENSOR.mjSENS_TORQUE]) & _has_spatial_tendon(model)
+    feels = np.isin(model.sensor_type, _BODILY)
     return {
         "sen_stage": stages,
         "sensors_differenced": int(stages[differenced].max(initial=0)),
         "sensors_accelerated": int((by_acceleration & far).any()),
         "sensors_on_rows": int(on_rows.any()),
         "sensors_of_energy": int(energies.any()),
+        "sensors_of_bodies": int(feels.any()),
+        "sensors_of_actuators": int((pulls & (differenced | cut)).any()),
     }
 
 
@@ -272,14 +283,11 @@ def _knows_frame(model: mujoco.MjModel, s: int) -> bool:
 
 
 def _is_plain_contact(model: mujoco.MjModel, s: int) -> bool:
-    """Whether a contact sensor matches by geoms, bodies and subtrees, and reports what has a closed form."""
+    """Whether what a contact sensor reports has a closed form: all but where a net force acts, and its torque."""
     fields, reduction = int(model.sensor_intprm[s, 0]), int(model.sensor_intprm[s, 1])
-    sides = {int(model.sensor_objtype[s]), int(model.sensor_reftype[s])}
-    if not sides <= set(_SIDES) or fields >= 1 << (columns.TANGENT + 1):
+    if fields >= 1 << columns.FIELDS or not {int(model.sensor_objtype[s]), int(model.sensor_reftype[s])} <= set(_SIDES):
         return False
-    if reduction == columns.NET_FORCE:
-        return not fields & (1 << columns.CONTACT_TORQUE | 1 << columns.POINT)
-    return reduction in (columns.IN_ORDER, columns.NEAREST)
+    return reduction != columns.NET_FORCE or not fields & (1 << columns.CONTACT_TORQUE | 1 << columns.POINT)
 
 
 def _frame(model: mujoco.MjModel, kind: int, index: int) -> tuple[int, Any, Any] | None:

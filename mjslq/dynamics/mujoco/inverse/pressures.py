@@ -17,7 +17,10 @@ a site's axes by theta, as do those of the inertia's part.
 
 A limit has one row with a constant J, which is also the gradient of its distance; s is as in `constraints`.
 
-Contacts whose geometry has no closed form leave the sensor to differences within its stage, at that knot: `stages`.
+The relative velocity of the bodies, in a contact's axes, is what rows measure: d(J v), as in `contacts`.
+
+Contacts whose geometry has no closed form leave what positions do to differences within the sensor's stage, at that
+knot: `stages`. The rest holds for them too.
 """
 
 from __future__ import annotations
@@ -72,6 +75,10 @@ mju_rayGeom = types.ExternalFunction(  # noqa: N816
     "mju_rayGeom", _number(_address, _address, _address, _address, _address, types.int32, _address)
 )
 
+mj_insideSite = types.ExternalFunction(  # noqa: N816
+    "mj_insideSite", types.int32(_address, _address, types.int32, _address)
+)
+
 _PLAIN, _WORLD, _AT_SITE = range(3)
 
 
@@ -89,19 +96,24 @@ def _bodies(job, contact):
 @compiled
 def _rows_of(job, contact):
     """First row of a contact that pushes (-1 for one that does not), its type, their number."""
-    r = flags(contact + job.at_contact_efc_address, 1)[0]
+    r = types.int64(flags(contact + job.at_contact_efc_address, 1)[0])
     if r < 0:
-        return -1, 0, 0
+        return r, types.int32(0), 0
     kind = flags(entry_address(job.data + job.at_efc_type), r + 1)[r]
     dim = flags(contact + job.at_contact_dim, 1)[0]
     count = 2 * (dim - 1) if kind == PYRAMIDAL else dim
-    return r if _pushes(job, r, count) else -1, kind, count
+    return r if _pushes(job, r, count) else types.int64(-1), kind, count
 
 
 @compiled
 def add_pressures(job, s, kind, row, C):
-    """Add what the contacts do that a sensor for touch, force or torque feels; False if one has no closed form."""
-    weights = matrix(job.covectors, 3, 18)
+    """Add what the contacts do that a sensor for touch, force or torque feels.
+
+    False if one has no closed form by position, where its columns are worth nothing.
+    """
+    weights, plain = matrix(job.covectors, 3, 18), kind == columns.TOUCH
+    seen, readings = types.int64(_PLAIN if plain else _AT_SITE), types.int64(1 if plain else 3)
+    unknown = types.int64(0)
     for j in range(entry_count(job.data + job.at_ncon)):
         contact = _contact(job, j)
         r, of, count = _rows_of(job, contact)
@@ -111,16 +123,14 @@ def add_pressures(job, s, kind, row, C):
         sign = _touches(job, s, contact, r, size) if kind == columns.TOUCH else _presses(job, s, contact)
         if sign == 0.0:
             continue
-        if is_differenced(job, of, j):
-            return False
-        n = row3(matrix(contact + job.at_contact_frame, 3, 3), 0)
+        if is_differenced(job, of, types.int32(j)):
+            unknown += 1
         if kind == columns.TOUCH:
-            put6(weights, 0, join((0.0, 0.0, 0.0), n))
-            _add_contact(job, s, _PLAIN, row, 1, r, of, count, contact, C)
+            put6(weights, 0, join((0.0, 0.0, 0.0), row3(matrix(contact + job.at_contact_frame, 3, 3), 0)))
         else:
             _weigh_at_site(job, s, kind, sign, contact)
-            _add_contact(job, s, _AT_SITE, row, 3, r, of, count, contact, C)
-    return True
+        _add_contact(job, s, seen, row, readings, r, of, count, contact, C)
+    return unknown == 0
 
 
 @compiled
@@ -267,12 +277,14 @@ def _turn_with_site(job, s, i, k, S, dp, W, contact):
 def _matches(job, s, contact):
     """Whether a contact sensor counts a contact: 1, -1 if with the opposite normal, 0 if not."""
     asked = _asked_sides(job, s)
+    if asked[0] == columns.INSIDE and not mj_insideSite(
+        job.model, job.data, types.int32(asked[1]), contact + job.at_contact_pos
+    ):
+        return 0
     geoms = flags(contact + job.at_contact_geom, 2)
-    regular = _is_side(job, geoms[0], asked[0], asked[1]) and _is_side(job, geoms[1], asked[2], asked[3])
-    reverse = _is_side(job, geoms[1], asked[0], asked[1]) and _is_side(job, geoms[0], asked[2], asked[3])
-    if regular:
+    if _is_side(job, geoms[0], asked[0], asked[1]) and _is_side(job, geoms[1], asked[2], asked[3]):
         return 1
-    return -1 if reverse else 0
+    return -1 if _is_side(job, geoms[1], asked[0], asked[1]) and _is_side(job, geoms[0], asked[2], asked[3]) else 0
 
 
 @inlined
@@ -289,15 +301,15 @@ def _is_side(job, geom, asked, index):
         return index == geom
     if asked == columns.BODY:
         return index == body
-    return asked == columns.ANY or is_below(job, body, index)
+    return asked != columns.SUBTREE or is_below(job, body, index)
 
 
 @compiled
 def write_contacts(job, s, row, C, D):
-    """Slots of a contact sensor; False when a contact in one of them has no closed form."""
+    """Slots of a contact sensor; False when a contact in one of them has no closed form by position."""
     fields, reduction = integers(job.sen_fields, job.nsensor)[s], integers(job.sen_reduction, job.nsensor)[s]
-    dim, width = integers(job.sen_dim, job.nsensor)[s], 0
-    for field in range(columns.TANGENT + 1):
+    dim, width, unknown = integers(job.sen_dim, job.nsensor)[s], 0, types.int64(0)
+    for field in range(columns.FIELDS):
         width += _width(field) * ((fields >> field) & 1)
     clear_rows(C, D, row, dim)
     clear_lever(job)
@@ -307,10 +319,10 @@ def write_contacts(job, s, row, C, D):
         slot = 0 if reduction == columns.NET_FORCE else _slot(job, s, j, reduction)
         if way == 0 or slot * width >= dim:
             continue
-        if is_differenced(job, FRICTIONLESS, j):
-            return False
+        if is_differenced(job, types.int32(FRICTIONLESS), types.int32(j)):
+            unknown += 1
         at = row + slot * width
-        for field in range(columns.TANGENT + 1):
+        for field in range(columns.FIELDS):
             if (fields >> field) & 1:
                 if field in (columns.CONTACT_FORCE, columns.CONTACT_TORQUE):
                     _write_contact_force(job, s, field, way, reduction, at, contact, C, D)
@@ -318,8 +330,8 @@ def write_contacts(job, s, row, C, D):
                     _write_geometry(job, field, way, at, contact, C)
                 at += _width(field)
     if reduction == columns.NET_FORCE and (fields >> columns.CONTACT_FORCE) & 1:
-        add_acceleration(job, row + (fields & 1), 3, C, D)
-    return True
+        add_acceleration(job, row + (fields & 1), types.int64(3), C, D)
+    return unknown == 0
 
 
 @inlined
@@ -330,15 +342,26 @@ def _width(field):
 @compiled
 def _slot(job, s, j, reduction):
     """Which of the matching contacts the j-th is, in the sensor's order."""
-    own, count = vector(_contact(job, j) + job.at_contact_dist, 1)[0], 0
+    own, count = _rank(job, _contact(job, j), reduction), 0
     for k in range(entry_count(job.data + job.at_ncon)):
-        dist = vector(_contact(job, k) + job.at_contact_dist, 1)[0]
-        sooner = k < j
-        if reduction == columns.NEAREST and dist != own:
-            sooner = dist < own
-        if sooner and _matches(job, s, _contact(job, k)) != 0:
+        other = _rank(job, _contact(job, k), reduction)
+        if (other < own or (other == own and k < j)) and _matches(job, s, _contact(job, k)) != 0:
             count += 1
     return count
+
+
+@compiled
+def _rank(job, contact, reduction):
+    """What a contact sensor sorts by: nothing, the distance, or the force, strongest first."""
+    if reduction == columns.NEAREST:
+        return vector(contact + job.at_contact_dist, 1)[0]
+    if reduction != columns.STRONGEST:
+        return 0.0
+    r, of, rows = _rows_of(job, contact)
+    if r < 0:
+        return 0.0
+    W = _wrench(job, r, _directions(job, contact, of, rows))
+    return -dot3(tail(W), tail(W))
 
 
 @compiled
@@ -359,29 +382,40 @@ def _write_contact_force(job, s, field, way, reduction, row, contact, C, D):
         put6(weights, k, join(zero, axis) if field == columns.CONTACT_FORCE else join(axis, zero))
     if not net:
         clear_lever(job)
-    _add_contact(job, s, _WORLD if net else _PLAIN, row, 3, r, of, rows, contact, C)
+    _add_contact(job, s, types.int64(_WORLD if net else _PLAIN), row, types.int64(3), r, of, rows, contact, C)
     if not net:
-        add_acceleration(job, row, 3, C, D)
+        add_acceleration(job, row, types.int64(3), C, D)
 
 
 @compiled
 def _write_geometry(job, field, way, row, contact, C):
-    """Distance, place, normal or first tangent of a contact."""
+    """Distance, place, normal, first tangent of a contact, or the velocity of body 2 from body 1 in its axes."""
     first, second = _bodies(job, contact)
     lastdof, parent = integers(job.body_lastdof, job.nbody), integers(job.dof_parentid, job.nv)
     frame, cdof = matrix(contact + job.at_contact_frame, 3, 3), matrix(job.cdof, job.nv, 6)
+    before, member = matrix(job.before_v, job.nv, 6), integers(job.member, job.nv)
+    V = _velocities(job, first, second, vector(job.qvel, job.nv), before)
+    points = _points(job, contact, first, second)
     for side in range(2):
         i = lastdof[second if side == 1 else first]
         while i >= 0:
-            both = moves(job, i, lastdof[first if side == 1 else second])
-            if side == 1 or not both:
-                dp, ddist, phi = contact_motion(job, contact, row6(cdof, i), 3 if both else side + 1)
+            sides = member[i]
+            if side == 1 or sides == 1:
+                S = row6(cdof, i)
+                dp, ddist, phi = contact_motion(job, contact, S, sides)
                 if field == columns.DISTANCE:
                     C[row, i] = ddist
-                else:
+                elif field <= columns.TANGENT:
                     axis = row3(frame, 0 if field == columns.NORMAL else 1)
                     change = dp if field == columns.POINT else scale3(1.0 * way, cross3(phi, axis))
                     C[row, i], C[row + 1, i], C[row + 2, i] = change
+                else:
+                    rate, motion = _rate(S, row6(before, i), V, sides, points, dp, phi), _apart(S, sides, points)
+                    turns = field == columns.CONTACT_TURN
+                    for k in range(3):
+                        axis = scale3(-1.0 if k == 2 and way < 0 else 1.0, row3(frame, k))
+                        C[row + k, i] = dot3(axis, head(rate) if turns else tail(rate))
+                        C[row + k, job.nv + i] = dot3(axis, head(motion) if turns else tail(motion))
             i = parent[i]
 
 
@@ -389,7 +423,7 @@ def _write_geometry(job, field, way, row, contact, C):
 def write_limit(job, s, kind, row, C, D):
     """Distance, velocity or force of a joint's or tendon's limit."""
     wanted, index = integers(job.sen_reference, job.nsensor)[s], integers(job.sen_target, job.nsensor)[s]
-    rows = entry_count(job.data + job.at_nefc)
+    rows = types.int64(entry_count(job.data + job.at_nefc))
     kinds = flags(entry_address(job.data + job.at_efc_type), rows)
     ids = flags(entry_address(job.data + job.at_efc_id), rows)
     dofs, values = integers(job.dofs, job.nv), vector(job.values, job.nv)
@@ -405,7 +439,7 @@ def write_limit(job, s, kind, row, C, D):
                     C[row, job.nv + dofs[k]] = values[k]
             if kind == columns.LIMIT_FORCE:
                 _write_limit_force(job, r, size, row, C)
-                add_acceleration(job, row, 1, C, D)
+                add_acceleration(job, row, types.int64(1), C, D)
             return
 
 

@@ -23,6 +23,8 @@ linear part of I^C_k S_i / mass.
 
 from __future__ import annotations
 
+from numba import types
+
 from mjslq.dynamics.mujoco.inverse import columns
 from mjslq.dynamics.mujoco.inverse.accelerations import (
     add_acceleration,
@@ -68,7 +70,7 @@ _COM, _SUBTREE_VEL, _SUBTREE_TURN = columns.SUBTREE_COM, columns.SUBTREE_VEL, co
 def write_sensors(job, n, x, C, D):
     """C and D of knot n, after the rigid bodies' sweep there; may leave mjData away from x."""
     kinds, first = integers(job.sen_kind, job.nsensor), integers(job.sen_adr, job.nsensor)
-    target, on_contacts = integers(job.sen_target, job.nsensor), False
+    target, on_contacts = integers(job.sen_target, job.nsensor), types.int64(0)
     if job.sensors_accelerated:
         outward(job, vector(job.qvel, job.nv), vector(job.acc_c, job.nv))
         inward(job)
@@ -91,17 +93,17 @@ def write_sensors(job, n, x, C, D):
         elif columns.LIMIT_POS <= kind <= columns.LIMIT_FORCE:
             write_limit(job, s, kind, row, C, D)
         elif kind == columns.CONTACT:
-            on_contacts = not write_contacts(job, s, row, C, D) or on_contacts
+            on_contacts += 0 if write_contacts(job, s, row, C, D) else 1
         elif kind >= columns.FORCE:
-            on_contacts = not _write_force(job, s, kind, row, C, D) or on_contacts
-    if job.sensors_differenced or job.sensors_cut or on_contacts:
+            on_contacts += 0 if _write_force(job, s, kind, row, C, D) else 1
+    if job.sensors_differenced or job.sensors_cut or on_contacts > 0:
         difference_stages(job, n, x, on_contacts, C, D)
 
 
 @compiled
 def _write_force(job, s, kind, row, C, D):
     """Force, torque, touch; False when a contact has no closed form."""
-    count = 1 if kind == columns.TOUCH else 3
+    count = types.int64(1 if kind == columns.TOUCH else 3)
     clear_rows(C, D, row, count)
     clear_lever(job)
     if kind != columns.TOUCH:

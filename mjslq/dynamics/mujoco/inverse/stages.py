@@ -20,7 +20,13 @@ from __future__ import annotations
 from numba import types
 
 from mjslq.dynamics.mujoco.inverse import columns
-from mjslq.dynamics.mujoco.inverse.constraints import evaluate_rows, find_rows, mj_tendon
+from mjslq.dynamics.mujoco.inverse.constraints import (
+    evaluate_rows,
+    find_rows,
+    mj_comVel,
+    mj_referenceConstraint,
+    mj_tendon,
+)
 from mjslq.dynamics.mujoco.inverse.differences import mj_comPos, mj_integratePos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.frames import clear_rows
 from mjslq.dynamics.mujoco.inverse.job import entry_count, integers, matrix, vector
@@ -42,13 +48,27 @@ mj_sensorVel = types.ExternalFunction("mj_sensorVel", _step)  # noqa: N816
 mj_sensorAcc = types.ExternalFunction("mj_sensorAcc", _step)  # noqa: N816
 
 POSITION, VELOCITY, ACCELERATION = 1, 2, 3
-"""Stages, as MuJoCo numbers them."""
+"""Stages, as MuJoCo numbers them; those of positions and velocities own as many columns as there are dofs."""
 
 
 @inlined
-def _is_wanted(job, s, on_contacts):
+def _reach(job, s, on_contacts):
+    """How far the differences of sensor s have to reach; 0 for none.
+
+    Sensors on contacts know all but what positions do, which their readings' stage is then for.
+    """
     kind = integers(job.sen_kind, job.nsensor)[s]
-    return kind == columns.BY_DIFFERENCES or (on_contacts and kind >= columns.FORCE)
+    if kind == columns.BY_DIFFERENCES or (on_contacts > 0 and kind >= columns.FORCE):
+        return integers(job.sen_stage, job.nsensor)[s]
+    return 0
+
+
+@inlined
+def _is_varied(job, s, start, on_contacts):
+    """Whether sensor s wants the columns that stage `start` owns."""
+    if start == POSITION or integers(job.sen_kind, job.nsensor)[s] == columns.BY_DIFFERENCES:
+        return _reach(job, s, on_contacts) >= start
+    return False
 
 
 @compiled
@@ -58,28 +78,20 @@ def difference_stages(job, n, x, on_contacts, C, D):
     Leaves mjData away from x.
     """
     dims, first = integers(job.sen_dim, job.nsensor), integers(job.sen_adr, job.nsensor)
-    stages, reach, nv = integers(job.sen_stage, job.nsensor), 0, job.nv
+    kinds, reach = integers(job.sen_kind, job.nsensor), types.int64(0)
     for s in range(job.nsensor):
-        if _is_wanted(job, s, on_contacts):
+        reach = max(reach, _reach(job, s, on_contacts))
+        if kinds[s] == columns.BY_DIFFERENCES:
             clear_rows(C, D, first[s], dims[s])
-            reach = max(reach, stages[s])
-    if job.sensors_cut or not job.centered:
-        _evaluate(job, x, -1, 0.0, ACCELERATION if job.sensors_cut else reach, POSITION)
-        _copy(vector(job.sensordata, job.ny), vector(job.middle, job.ny))
-    elif reach == ACCELERATION:
-        _evaluate(job, x, -1, 0.0, reach, POSITION)
-    if reach == ACCELERATION:
-        end = job.columns if n < job.N else job.columns - job.nu
-        for c in range(2 * nv, end):
-            _difference(job, x, c, reach, ACCELERATION, on_contacts, C, D)
-    if reach >= VELOCITY:
-        if reach == VELOCITY:
-            _evaluate(job, x, -1, 0.0, reach, POSITION)
-        for c in range(nv, 2 * nv):
-            _difference(job, x, c, reach, VELOCITY, on_contacts, C, D)
-    if reach >= POSITION:
-        for c in range(nv):
-            _difference(job, x, c, reach, POSITION, on_contacts, C, D)
+    _evaluate(job, x, types.int64(-1), 0.0, max(reach, ACCELERATION * job.sensors_cut), types.int64(POSITION))
+    _copy(vector(job.sensordata, job.ny), vector(job.middle, job.ny))
+    # what is varied last need not be put back
+    for start in range(max(job.sensors_differenced, min(reach, POSITION)), 0, -1):
+        begin, end = (start - 1) * job.nv, start * job.nv
+        if start == ACCELERATION:
+            end = job.columns if n < job.N else job.columns - job.nu
+        for c in range(begin, end):
+            _difference(job, x, c, reach, start, on_contacts, C, D)
     if job.sensors_cut:
         _cut(job, C, D)
 
@@ -88,7 +100,7 @@ def difference_stages(job, n, x, on_contacts, C, D):
 def _difference(job, x, c, reach, start, on_contacts, C, D):
     """Column c of the rows of sensors whose stage is `start` or later."""
     dims, first = integers(job.sen_dim, job.nsensor), integers(job.sen_adr, job.nsensor)
-    stages, ndx = integers(job.sen_stage, job.nsensor), C.shape[1]
+    ndx = C.shape[1]
     reading, plus, middle = vector(job.sensordata, job.ny), vector(job.reading, job.ny), vector(job.middle, job.ny)
     up, down = job.eps, -job.eps if job.centered else 0.0
     if c >= ndx:
@@ -102,7 +114,7 @@ def _difference(job, x, c, reach, start, on_contacts, C, D):
     else:
         _copy(middle, reading)
     for s in range(job.nsensor):
-        if stages[s] >= start and _is_wanted(job, s, on_contacts):
+        if _is_varied(job, s, start, on_contacts):
             for row in range(first[s], first[s] + dims[s]):
                 change = (plus[row] - reading[row]) / (up - down)
                 if c < ndx:
@@ -158,24 +170,40 @@ def _run(job, reach, start):
             find_rows(job)
         elif job.ntendon > 0:
             mj_tendon(model, data)
-        mj_transmission(model, data)
+        if job.sensors_of_actuators:
+            mj_transmission(model, data)
         if job.sensors_of_energy:
-            mj_makeM(model, data)
             mj_energyPos(model, data)
     if start <= VELOCITY and reach >= VELOCITY:
-        mj_fwdVelocity(model, data)
-        if job.sensors_of_energy:
-            mj_energyVel(model, data)
-        mj_subtreeVel(model, data)
-        mj_sensorVel(model, data)
+        _run_velocities(job, start)
     if start == POSITION or (start == VELOCITY and job.sensors_of_energy):
         mj_sensorPos(model, data)
     if reach == ACCELERATION:
-        mj_fwdActuation(model, data)
+        if job.sensors_of_actuators:
+            mj_fwdActuation(model, data)
         if entry_count(data + job.at_nefc) > 0:
             evaluate_rows(job, vector(job.qacc, job.nv), 0)
-        mj_rnePostConstraint(model, data)
+        if job.sensors_of_bodies:
+            mj_rnePostConstraint(model, data)
         mj_sensorAcc(model, data)
+
+
+@compiled
+def _run_velocities(job, start):
+    model, data = job.model, job.data
+    if job.sensors_of_actuators:
+        mj_fwdVelocity(model, data)
+    else:
+        mj_comVel(model, data)
+        if entry_count(data + job.at_nefc) > 0:
+            mj_referenceConstraint(model, data)
+    if job.sensors_of_energy:
+        if start == POSITION:
+            mj_makeM(model, data)
+        mj_energyVel(model, data)
+    if job.sensors_cut:
+        mj_subtreeVel(model, data)
+    mj_sensorVel(model, data)
 
 
 @compiled
