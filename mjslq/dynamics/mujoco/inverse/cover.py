@@ -55,14 +55,7 @@ def choose_jacobian(model: mujoco.MjModel, wanted: str) -> str:
 def describe(model: mujoco.MjModel) -> list[tuple[str, str]]:
     """What serves the sensors and the constraints of a covered model, as (part, what serves it)."""
     rows = []
-    if model.nsensor:
-        kinds = sensors(model)["sen_kind"]
-        closed = kinds != columns.BY_DIFFERENCES
-        if closed.any():
-            rows.append((f"{int(closed.sum())} sensors", "outputs y; their Jacobians analytic"))
-        if not closed.all():
-            rest = sorted({TYPES[int(kind)] for kind in model.sensor_type[~closed]})
-            rows.append((f"{int((~closed).sum())} sensors: {', '.join(rest)}", "outputs y; differences of the step"))
+    rows += _describe_sensors(model)
     on_joints = int((model.eq_type == EQ.mjEQ_JOINT).sum())
     if on_joints:
         rows.append((f"{on_joints} equality constraints of joints", "analytic"))
@@ -72,6 +65,24 @@ def describe(model: mujoco.MjModel) -> list[tuple[str, str]]:
         rows.append(("contacts of spheres, capsules, boxes, meshes with static planes", "analytic"))
         rows.append(("contacts among spheres and capsules, of spheres with boxes", "analytic"))
         rows.append(("other contacts", f"analytic by velocity and control; {_POSITIONS}"))
+    return rows
+
+
+def _describe_sensors(model: mujoco.MjModel) -> list[tuple[str, str]]:
+    """Which sensors have Jacobians in closed form, and which are differenced."""
+    if not model.nsensor:
+        return []
+    kinds, rows = sensors(model)["sen_kind"], []
+    on_contacts = (kinds >= columns.FORCE).any() and has_contacts(model)
+    rest = f"; of those on contacts of other shapes, {_POSITIONS}"
+    for chosen, served in (
+        (kinds > columns.CONSTANT, "their Jacobians analytic" + (rest if on_contacts else "")),
+        (kinds == columns.CONSTANT, "which no state or control changes"),
+        (kinds == columns.BY_DIFFERENCES, "their Jacobians by differences of their own stage, without a step"),
+    ):
+        if chosen.any():
+            names = ", ".join(sorted({TYPES[int(kind)] for kind in model.sensor_type[chosen]}))
+            rows.append((f"{int(chosen.sum())} sensors: {names}", f"outputs y; {served}"))
     return rows
 
 
