@@ -73,10 +73,12 @@ def _describe_sensors(model: mujoco.MjModel) -> list[tuple[str, str]]:
     if not model.nsensor:
         return []
     kinds, rows = sensors(model)["sen_kind"], []
-    on_contacts = (kinds >= columns.FORCE).any() and has_contacts(model)
-    rest = f"; of those on contacts of other shapes, {_POSITIONS}"
+    closed = kinds > columns.CONSTANT
+    if closed.any():
+        on_contacts = (kinds >= columns.FORCE).any() and has_contacts(model)
+        rest = f"; of those on contacts of other shapes, {_POSITIONS}" if on_contacts else ""
+        rows.append((f"{int(closed.sum())} sensors", f"outputs y; their Jacobians analytic{rest}"))
     for chosen, served in (
-        (kinds > columns.CONSTANT, "their Jacobians analytic" + (rest if on_contacts else "")),
         (kinds == columns.CONSTANT, "which no state or control changes"),
         (kinds == columns.BY_DIFFERENCES, "their Jacobians by differences of their own stage, without a step"),
     ):

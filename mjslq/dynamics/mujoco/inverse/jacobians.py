@@ -31,12 +31,14 @@ class InverseJacobians:
         self._table = (
             plan(horizon.model) | arrays(sensors(horizon.model)) | arrays({"eps": eps, "centered": int(centered)})
         )
+        feelings = ("sensors_accelerated", "sensors_on_rows", "sensors_differenced", "sensors_cut")
+        self._feels = any(bool(self._table[name]) for name in feelings)
         self._work = [self._workspace() for _ in range(horizon.workers.count)]
         self._offsets = {"at_" + name.replace(".", "_"): at for name, at in offsets().items()}
 
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step and of the outputs, the knots shared out among the workers."""
-        from mjslq.dynamics.mujoco.inverse.kernel import inverse
+        from mjslq.dynamics.mujoco.inverse.kernel import kernel
 
         horizon, N = self._horizon, trajectory.horizon
         nu, ny, ndx = horizon.model.nu, horizon.model.nsensordata, horizon.ndx
@@ -53,7 +55,7 @@ class InverseJacobians:
             jobs[name] = value.ctypes.data if np.ndim(value) else value
         for job, data, work in zip(jobs, horizon._data, self._work, strict=False):
             _point_at(job, data, work)
-        horizon.workers.run(kernels.address(inverse), jobs)
+        horizon.workers.run(kernels.address(kernel(self._feels)), jobs)
         return result
 
     def _workspace(self) -> dict[str, Any]:

@@ -27,6 +27,7 @@ no step is repeated, so the derivatives do not see the constraint solver's noise
 
 from __future__ import annotations
 
+import functools
 import zlib
 from pathlib import Path
 from typing import Any
@@ -57,7 +58,7 @@ from mjslq.dynamics.mujoco.inverse.rigid import (
     outward,
     subtract_derivatives,
 )
-from mjslq.dynamics.mujoco.inverse.sensors import write_sensors
+from mjslq.dynamics.mujoco.inverse.sensors import write_feelings, write_motions
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
 from mjslq.dynamics.mujoco.kernels import (
     _address,
@@ -357,20 +358,26 @@ def _linearize_knot(job, x, v_next, A, B):
 
 
 @compiled
-def _visit_last_knot(job, x):
-    """Prepare what the sensors' derivatives read, where there is no step: the acceleration is MuJoCo's own."""
-    acc_c, qacc = vector(job.acc_c, job.nv), vector(job.qacc, job.nv)
+def _visit_last_knot(job):
+    """Prepare what the sensors' derivatives read, where there is no step."""
+    nothing = vector(job.change, job.nv)
+    for i in range(job.nv):
+        nothing[i] = 0.0
+    activate(job)
+    actuate(job)
+    outward(job, vector(job.qvel, job.nv), nothing)
+    inward(job)
+
+
+@compiled
+def _feel_last_knot(job, x):
+    """Do the same for sensors of accelerations and rows: the acceleration is the one that MuJoCo finds."""
     if not job.sensors_accelerated:
-        activate(job)
-        actuate(job)
+        _visit_last_knot(job)
         if job.sensors_on_rows and job.constrained:
             find_rows(job)
-        for i in range(job.nv):
-            acc_c[i] = 0.0
-        outward(job, vector(job.qvel, job.nv), acc_c)
-        inward(job)
         return
-    warmstart = vector(job.qacc_warmstart, job.nv)
+    warmstart, qacc = vector(job.qacc_warmstart, job.nv), vector(job.qacc, job.nv)
     for i in range(job.nv):
         warmstart[i] = 0.0
     mj_forward(job.model, job.data)
@@ -378,7 +385,7 @@ def _visit_last_knot(job, x):
     if job.constrained:
         find_rows(job)
     _smooth_forces(job)
-    _copy(qacc, acc_c)
+    _copy(qacc, vector(job.acc_c, job.nv))
     mass_matrix(job, matrix(job.M, job.nv, job.nv))
     _inertia(job)
     if not _differentiate_acceleration(job, x):
@@ -393,7 +400,13 @@ def _sources() -> int:
     return checksum + 1
 
 
-def _make_kernel(stamp: int) -> Any:
+@functools.cache
+def kernel(feels: bool) -> Any:
+    """Compile the loop over the horizon; what feels no accelerations, contacts or limits does without half of it."""
+    return _make_kernel(_sources(), feels)
+
+
+def _make_kernel(stamp: int, feels: bool) -> Any:
     @_compiled(_void(_address, _address, types.int32, types.voidptr))
     def inverse(_model, _data, worker, jobs):
         """Jacobians A, B, C, D of the knots first ... last - 1; knot N has only C."""
@@ -413,13 +426,15 @@ def _make_kernel(stamp: int) -> Any:
                 A, B = matrix(job.A + 8 * n * ndx * ndx, ndx, ndx), matrix(job.B + 8 * n * ndx * nu, ndx, nu)
                 _linearize_knot(job, X[n], X[n + 1, job.nq : job.nq + job.nv], A, B)
             elif ny > 0:
-                _visit_last_knot(job, X[n])
+                if feels:
+                    _feel_last_knot(job, X[n])
+                else:
+                    _visit_last_knot(job)
             if ny > 0:
-                write_sensors(job, n, X[n], C, D)
+                write_motions(job, C, D)
+                if feels:
+                    write_feelings(job, n, X[n], C, D)
                 if n == job.N:
                     _fill(D, 0.0)
 
     return inverse
-
-
-inverse = _make_kernel(_sources())

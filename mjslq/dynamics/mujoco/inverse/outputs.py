@@ -227,7 +227,7 @@ def _is_plain_actuator(model: mujoco.MjModel, i: int) -> bool:
     ):
         return False
     if kind == TRN.mjTRN_TENDON:
-        return len(tendon_dofs(model, int(target[0]))[0]) > 0
+        return len(tendon_dofs(model, int(target[0]))[0]) > 0 and not model.tendon_actfrclimited[target[0]]
     if kind == TRN.mjTRN_SITE:
         return bool(target[1] < 0)
     return joint_of(model, i) >= 0 or bool(kind == TRN.mjTRN_JOINT)
@@ -244,15 +244,12 @@ def _knows_dof(model: mujoco.MjModel, kind: int, joint: int) -> bool:
 def _knows_tendon(model: mujoco.MjModel, kind: int, tendon: int) -> bool:
     pulls = (model.actuator_trntype == TRN.mjTRN_TENDON) & (model.actuator_trnid[:, 0] == tendon)
     plain = all(_is_plain_actuator(model, int(i)) for i in np.flatnonzero(pulls))
-    if kind == _SENSOR.mjSENS_TENDONACTFRC and (not plain or model.tendon_actfrclimited[tendon]):
-        return False
-    return len(tendon_dofs(model, tendon)[0]) > 0
+    return len(tendon_dofs(model, tendon)[0]) > 0 and (plain or kind != _SENSOR.mjSENS_TENDONACTFRC)
 
 
 def _knows_actuator(model: mujoco.MjModel, kind: int, i: int) -> bool:
     if kind == _SENSOR.mjSENS_ACTUATORFRC:
-        on_limited_tendon = model.actuator_trntype[i] == TRN.mjTRN_TENDON and np.any(model.tendon_actfrclimited)
-        return _is_plain_actuator(model, i) and not on_limited_tendon
+        return _is_plain_actuator(model, i)
     of, target = model.actuator_trntype[i], int(model.actuator_trnid[i, 0])
     if of == TRN.mjTRN_TENDON:
         return len(tendon_dofs(model, target)[0]) > 0

@@ -67,15 +67,10 @@ _COM, _SUBTREE_VEL, _SUBTREE_TURN = columns.SUBTREE_COM, columns.SUBTREE_VEL, co
 
 
 @compiled
-def write_sensors(job, n, x, C, D):
-    """C and D of knot n, after the rigid bodies' sweep there; may leave mjData away from x."""
+def write_motions(job, C, D):
+    """C and D of the sensors of positions, velocities and actuators, after the rigid bodies' sweep at the knot."""
     kinds, first = integers(job.sen_kind, job.nsensor), integers(job.sen_adr, job.nsensor)
-    target, on_contacts = integers(job.sen_target, job.nsensor), types.int64(0)
-    if job.sensors_accelerated:
-        outward(job, vector(job.qvel, job.nv), vector(job.acc_c, job.nv))
-        inward(job)
-        if job.sensors_on_rows and entry_count(job.data + job.at_nefc) > 0:
-            evaluate_rows(job, vector(job.acc_c, job.nv), 1)
+    target = integers(job.sen_target, job.nsensor)
     for s in range(job.nsensor):
         kind, row, at = kinds[s], first[s], target[s]
         if kind == columns.CONSTANT:
@@ -88,7 +83,21 @@ def write_sensors(job, n, x, C, D):
             _write_frame(job, s, kind, row, C, D)
         elif _COM <= kind <= _SUBTREE_TURN:
             _write_subtree(job, s, kind, row, C, D)
-        elif columns.FRAME_ACC <= kind <= columns.LOCAL_ACC:
+
+
+@compiled
+def write_feelings(job, n, x, C, D):
+    """C and D of the other sensors, of knot n, and limits of all readings; may leave mjData away from x."""
+    kinds, first = integers(job.sen_kind, job.nsensor), integers(job.sen_adr, job.nsensor)
+    on_contacts = types.int64(0)
+    if job.sensors_accelerated:
+        outward(job, vector(job.qvel, job.nv), vector(job.acc_c, job.nv))
+        inward(job)
+        if job.sensors_on_rows and entry_count(job.data + job.at_nefc) > 0:
+            evaluate_rows(job, vector(job.acc_c, job.nv), 1)
+    for s in range(job.nsensor):
+        kind, row = kinds[s], first[s]
+        if columns.FRAME_ACC <= kind <= columns.LOCAL_ACC:
             write_acceleration(job, s, kind, row, C, D)
         elif columns.LIMIT_POS <= kind <= columns.LIMIT_FORCE:
             write_limit(job, s, kind, row, C, D)
