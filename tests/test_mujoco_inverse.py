@@ -242,17 +242,6 @@ def test_sensors_in_closed_form(integrator):
     assert_exact(dynamics, some_trajectory(dynamics), tolerance=1e-8)
 
 
-def test_sensors_by_differences_beside_them():
-    extra = '<accelerometer site="s"/><force site="s"/><framepos objtype="site" objname="s" cutoff="10"/>'
-    dynamics = dynamics_of(models.sensed("implicitfast", extra))
-    assert sensors(dynamics.model)["sensors_differenced"]
-    trajectory = some_trajectory(dynamics, N=9)
-    assert_exact(dynamics, trajectory, tolerance=1e-6)
-    several = MujocoDynamics.from_model(dynamics.model, jacobian="inverse", threads=4)
-    for ours, theirs in zip(several.linearize(trajectory), dynamics.linearize(trajectory), strict=True):
-        np.testing.assert_array_equal(ours, theirs)
-
-
 def test_sensors_in_contact():
     sensor = '<sensor><framepos objtype="geom" objname="fl"/><subtreelinvel body="trunk"/></sensor></mujoco>'
     xml = models.walker("implicitfast", "elliptic", soft=models.SOFT).replace("</mujoco>", sensor)

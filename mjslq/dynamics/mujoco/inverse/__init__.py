@@ -6,7 +6,8 @@ rigid               the rigid bodies' inverse dynamics and their derivatives
 forces              springs, dampers, actuators
 constraints, contacts, geometry, differences    constraint rows: in closed form, or by differences of positions
 metric, impedance, weights    what the discrete integrator does to the inertia and to the rows
-sensors, outputs    C and D
+sensors, frames, accelerations, pressures       C and D: what moves with frames, feels accelerations, feels contacts
+stages, outputs     sensors by differences of their own stage; which sensor is served how
 cover, plan, layout, job, columns    which models are covered; what the kernel is told about one
 jacobians           the engine's side
 """

@@ -11,12 +11,19 @@ BAND, STIFFNESS, DAMPING, ARMATURE, TENDON_NUMBERS = 0, 2, 5, 8, 9
 OTHER, PLANE, MESH, SPHERE, CAPSULE, BOX = range(6)
 """Kinds of geoms: a static plane, shapes that contacts have closed forms for, any other."""
 (
-    BY_DIFFERENCES, JOINT_POS, JOINT_VEL, TENDON_POS, TENDON_VEL, ACTUATOR_POS, ACTUATOR_VEL, ACTUATOR_FORCE,
-    JOINT_FORCE, BALL_QUAT, BALL_VEL, FRAME_POS, FRAME_QUAT, FRAME_AXIS, FRAME_VEL, FRAME_TURN, LOCAL_VEL, LOCAL_TURN,
-    SUBTREE_COM, SUBTREE_VEL, SUBTREE_TURN,
-) = range(21)  # fmt: skip
+    BY_DIFFERENCES, CONSTANT, JOINT_POS, JOINT_VEL, TENDON_POS, TENDON_VEL, ACTUATOR_POS, ACTUATOR_VEL, ACTUATOR_FORCE,
+    JOINT_FORCE, TENDON_FORCE, KINETIC_ENERGY, BALL_QUAT, BALL_VEL, FRAME_POS, FRAME_QUAT, FRAME_AXIS, FRAME_VEL,
+    FRAME_TURN, LOCAL_VEL, LOCAL_TURN, LOCAL_FIELD, SUBTREE_COM, SUBTREE_VEL, SUBTREE_TURN, FRAME_ACC, FRAME_SPIN,
+    LOCAL_ACC, LIMIT_POS, LIMIT_VEL, LIMIT_FORCE, FORCE, TORQUE, TOUCH, CONTACT,
+) = range(35)  # fmt: skip
 """Kinds of sensors, by the formula of their derivative."""
 FRAME_NUMBERS = 14
 """Columns of sen_prm: place (3) and orientation (4) of the object in its body, the same of the reference."""
 FORCE_NUMBERS = 8
-"""Columns of act_force, which `forces` fills: force, its slopes by length, velocity, u and act, and changes of those."""
+"""Columns of act_force: force, its slopes by length, velocity, u and act, and the changes of the first two."""
+ANY, GEOM, BODY, SUBTREE, INSIDE = range(5)
+"""What a contact sensor may ask of a contact's side."""
+FOUND, CONTACT_FORCE, CONTACT_TORQUE, DISTANCE, POINT, NORMAL, TANGENT, CONTACT_VEL, CONTACT_TURN, FIELDS = range(10)
+"""Fields of a contact sensor's slots, in their order; the bits of its specification."""
+IN_ORDER, NEAREST, STRONGEST, NET_FORCE = range(4)
+"""How a contact sensor chooses among contacts, mjtContactReduce's numbers."""

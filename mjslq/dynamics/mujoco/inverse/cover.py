@@ -48,15 +48,7 @@ def choose_jacobian(model: mujoco.MjModel, wanted: str) -> str:
 
 def describe(model: mujoco.MjModel) -> list[tuple[str, str]]:
     """What serves the sensors and the constraints of a covered model, as (part, what serves it)."""
-    rows = _forces(model)
-    if model.nsensor:
-        kinds = sensors(model)["sen_kind"]
-        closed = kinds != columns.BY_DIFFERENCES
-        if closed.any():
-            rows.append((f"{int(closed.sum())} sensors", "outputs y; their Jacobians analytic"))
-        if not closed.all():
-            rest = sorted({TYPES[int(kind)] for kind in model.sensor_type[~closed]})
-            rows.append((f"{int((~closed).sum())} sensors: {', '.join(rest)}", "outputs y; differences of the step"))
+    rows = _forces(model) + _describe_sensors(model)
     on_joints = int((model.eq_type == EQ.mjEQ_JOINT).sum())
     if on_joints:
         rows.append((f"{on_joints} equality constraints of joints", "analytic"))
@@ -90,6 +82,26 @@ def _forces(model: mujoco.MjModel) -> list[tuple[str, str]]:
     ]
     rows += [("fluid", "analytic")] if in_fluid(model) else []
     return rows + ([("gravity compensation", _OWN)] if rest.lifted else [])
+
+
+def _describe_sensors(model: mujoco.MjModel) -> list[tuple[str, str]]:
+    """Which sensors have Jacobians in closed form, and which are differenced."""
+    if not model.nsensor:
+        return []
+    kinds, rows = sensors(model)["sen_kind"], []
+    closed = kinds > columns.CONSTANT
+    if closed.any():
+        on_contacts = (kinds >= columns.FORCE).any() and has_contacts(model)
+        rest = f"; of those on contacts of other shapes, {_POSITIONS}" if on_contacts else ""
+        rows.append((f"{int(closed.sum())} sensors", f"outputs y; their Jacobians analytic{rest}"))
+    for chosen, served in (
+        (kinds == columns.CONSTANT, "which no state or control changes"),
+        (kinds == columns.BY_DIFFERENCES, "their Jacobians by differences of their own stage, without a step"),
+    ):
+        if chosen.any():
+            names = ", ".join(sorted({TYPES[int(kind)] for kind in model.sensor_type[chosen]}))
+            rows.append((f"{int(chosen.sum())} sensors: {names}", f"outputs y; {served}"))
+    return rows
 
 
 def refusals(model: mujoco.MjModel) -> list[str]:

@@ -41,6 +41,8 @@ class InverseJacobians:
             | {"eps": eps, "centered": int(centered)}
         )
         self._row_model = row_model(horizon.model)
+        feelings = ("sensors_accelerated", "sensors_on_rows", "sensors_differenced", "sensors_cut")
+        self._feels = any(bool(self._table[name]) for name in feelings)
         self._work = [self._workspace() for _ in range(horizon.workers.count)]
         self._blank = self._blank_jobs()
 
@@ -49,7 +51,7 @@ class InverseJacobians:
 
         Step n leads from X_n, shape (N + 1, nx), under U_n (N, nu) to ends_n (N, nx).
         """
-        from mjslq.dynamics.mujoco.inverse.kernel import inverse
+        from mjslq.dynamics.mujoco.inverse.kernel import kernel
 
         horizon, N = self._horizon, len(U)
         nu, ny, ndx = horizon.model.nu, horizon.model.nsensordata, horizon.ndx
@@ -63,7 +65,7 @@ class InverseJacobians:
         given = {name: np.ascontiguousarray(array) for name, array in (("X", X), ("U", U), ("ends", ends))}
         for name, array in {**result._asdict(), **given}.items():
             jobs[name] = array.ctypes.data
-        horizon.workers.run(kernels.address(inverse), jobs)
+        horizon.workers.run(kernels.address(kernel(self._feels)), jobs)
         return result
 
     def _blank_jobs(self) -> np.ndarray[Any, Any]:

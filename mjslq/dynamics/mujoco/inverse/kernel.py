@@ -32,6 +32,7 @@ no step is repeated, so the derivatives do not see the constraint solver's noise
 
 from __future__ import annotations
 
+import functools
 import zlib
 from pathlib import Path
 from typing import Any
@@ -67,7 +68,7 @@ from mjslq.dynamics.mujoco.inverse.rigid import (
     outward,
     subtract_derivatives,
 )
-from mjslq.dynamics.mujoco.inverse.sensors import difference_sensors, write_sensors
+from mjslq.dynamics.mujoco.inverse.sensors import write_feelings, write_motions
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
 from mjslq.dynamics.mujoco.inverse.weights import add_weight_changes, weigh_rows
 from mjslq.dynamics.mujoco.kernels import (
@@ -76,6 +77,7 @@ from mjslq.dynamics.mujoco.kernels import (
     _copy,
     _number,
     _void,
+    mj_forward,
     mj_resetData,
 )
 
@@ -258,28 +260,13 @@ def _constrained_step(job, x):
     """da_d/dz of a step with constraint rows, into F; False when M^ or M + J' H J is singular."""
     M, M_hat, G = matrix(job.M, job.nv, job.nv), matrix(job.M_hat, job.nv, job.nv), matrix(job.G, job.nv, job.nv)
     F, E = matrix(job.F, job.nv, job.columns), matrix(job.E, job.nv, job.columns)
-    mixed, T = matrix(job.mixed, job.nv, job.columns), matrix(job.T, job.nv, job.nv)
+    mixed = matrix(job.mixed, job.nv, job.columns)
     acc_c, acc_d = vector(job.acc_c, job.nv), vector(job.acc_d, job.nv)
     nv = job.nv
     mass_matrix(job, M)
     _inertia(job)
     fine = _continuous_acceleration(job, M, M_hat, G)
-    if job.implicit == 3:
-        weigh_rows(job)
-    evaluate_rows(job, acc_c, 1)
-    _assign(G, M)
-    if job.implicit == 3:
-        _assign(G, M_hat)
-        _add(F, E)
-        present_rows(job)
-        add_weight_changes(job, F)
-    if add_rows(job, acc_c, F, G):
-        add_differences(job, x, acc_c, F)
-    outward(job, vector(job.qvel, nv), acc_c)
-    inward(job)
-    subtract_derivatives(job, F, T)
-    fine = factorize(G) and fine
-    solve(G, F)
+    fine = _differentiate_acceleration(job, x) and fine
     if job.implicit == 0 or job.implicit == 3:
         return fine
     change = vector(job.change, nv)
@@ -292,6 +279,32 @@ def _constrained_step(job, x):
     fine = factorize(M_hat) and fine
     solve(M_hat, mixed)
     _assign(F, mixed)
+    return fine
+
+
+@compiled
+def _differentiate_acceleration(job, x):
+    """da_c/dz into F, and into acc_rate for the sensors; False when M + J' H J (discrete: M~ + J' H J) is singular."""
+    M, G, F = matrix(job.M, job.nv, job.nv), matrix(job.G, job.nv, job.nv), matrix(job.F, job.nv, job.columns)
+    acc_c = vector(job.acc_c, job.nv)
+    if job.implicit == 3:
+        weigh_rows(job)
+    evaluate_rows(job, acc_c, 1)
+    _assign(G, M)
+    if job.implicit == 3:
+        _assign(G, matrix(job.M_hat, job.nv, job.nv))
+        _add(F, matrix(job.E, job.nv, job.columns))
+        present_rows(job)
+        add_weight_changes(job, F)
+    if add_rows(job, acc_c, F, G):
+        add_differences(job, x, acc_c, F)
+    outward(job, vector(job.qvel, job.nv), acc_c)
+    inward(job)
+    subtract_derivatives(job, F, matrix(job.T, job.nv, job.nv))
+    fine = factorize(G)
+    solve(G, F)
+    if job.sensors_accelerated:
+        _assign(matrix(job.acc_rate, job.nv, job.columns), F)
     return fine
 
 
@@ -394,7 +407,11 @@ def _linearize_knot(job, x, v_next, A, B):
     _smooth_forces(job)
     if job.rest_model != 0:
         add_force_differences(job, x)
-    fine = _smooth_step(job) if rows == 0 else _constrained_step(job, x)
+    plain = rows == 0 and not (job.sensors_accelerated and 0 < job.implicit < 3)
+    fine = _smooth_step(job) if plain else _constrained_step(job, x)
+    if plain and job.sensors_accelerated:
+        _copy(acc_d, vector(job.acc_c, job.nv))
+        _assign(matrix(job.acc_rate, job.nv, job.columns), matrix(job.F, job.nv, job.columns))
     _write_step(job, v_next, A, B)
     if not fine:
         _fill(A, np.nan)
@@ -413,6 +430,32 @@ def _visit_last_knot(job):
     inward(job)
 
 
+@compiled
+def _feel_last_knot(job, x):
+    """Do the same for sensors of accelerations and rows: the acceleration is the one that MuJoCo finds."""
+    if not job.sensors_accelerated:
+        _visit_last_knot(job)
+        if job.sensors_on_rows and job.constrained:
+            find_rows(job)
+        return
+    warmstart, qacc = vector(job.qacc_warmstart, job.nv), vector(job.qacc, job.nv)
+    for i in range(job.nv):
+        warmstart[i] = 0.0
+    mj_forward(job.model, job.data)
+    _copy(qacc, vector(job.acc_d, job.nv))
+    rows = find_rows(job) if job.constrained else 0
+    if job.gyroscopic:
+        _find_spinning(job, rows)
+    _smooth_forces(job)
+    if job.rest_model != 0:
+        add_force_differences(job, x)
+    _copy(qacc, vector(job.acc_c, job.nv))
+    mass_matrix(job, matrix(job.M, job.nv, job.nv))
+    _inertia(job)
+    if not _differentiate_acceleration(job, x):
+        _fill(matrix(job.acc_rate, job.nv, job.columns), np.nan)
+
+
 def _sources() -> int:
     """Checksum of all that the kernel is made of: numba by itself looks at this file's date alone."""
     folder, checksum = Path(__file__).parent, 1
@@ -421,7 +464,13 @@ def _sources() -> int:
     return checksum + 1
 
 
-def _make_kernel(stamp: int) -> Any:
+@functools.cache
+def kernel(feels: bool) -> Any:
+    """Compile the loop over the horizon; what feels no accelerations, contacts or limits does without half of it."""
+    return _make_kernel(_sources(), feels)
+
+
+def _make_kernel(stamp: int, feels: bool) -> Any:
     @_compiled(_void(_address, _address, types.int32, types.voidptr))
     def inverse(_model, _data, worker, jobs):
         """Jacobians A, B, C, D of the knots first ... last - 1; knot N has only C."""
@@ -435,21 +484,21 @@ def _make_kernel(stamp: int) -> Any:
         for n in range(job.first, job.last):
             C, D = matrix(job.C + 8 * n * ny * ndx, ny, ndx), matrix(job.D + 8 * n * ny * nu, ny, nu)
             _load(job, X[n], U[n] if n < job.N else no_control)
-            if job.sensors_differenced:
-                difference_sensors(job, n, C, D)
             mj_kinematics(job.model, job.data)
             mj_comPos(job.model, job.data)
             if n < job.N:
                 A, B = matrix(job.A + 8 * n * ndx * ndx, ndx, ndx), matrix(job.B + 8 * n * ndx * nu, ndx, nu)
                 _linearize_knot(job, X[n], ends[n, job.nq : job.nq + job.nv], A, B)
             elif ny > 0:
-                _visit_last_knot(job)
+                if feels:
+                    _feel_last_knot(job, X[n])
+                else:
+                    _visit_last_knot(job)
             if ny > 0:
-                write_sensors(job, C, D)
+                write_motions(job, C, D)
+                if feels:
+                    write_feelings(job, n, X[n], C, D)
                 if n == job.N:
                     _fill(D, 0.0)
 
     return inverse
-
-
-inverse = _make_kernel(_sources())

@@ -14,6 +14,7 @@ Frames: with u = v - v_r - w_r x (p - p_r),
     turn           R_r' (dw - dw_r - theta_r x (w - w_r))
     velocity       R_r' (dv - dv_r - dw_r x (p - p_r) - w_r x (dp - dp_r) - theta_r x u)
     in the object's own frame (velocimeter, gyro)                    R' (dv - theta x v),  R' (dw - theta x w)
+    magnetometer, of a field B                                       R' (B x theta)
 
 Subtrees of body b: with k = b for dofs before or at b, and the dof's own body for dofs beyond, the subtree's momentum
 changes by dh_i = S_i x* h^C_k + I^C_k P_i with position and I^C_k S_i with velocity; its centre of mass moves by the
@@ -25,7 +26,18 @@ from __future__ import annotations
 from numba import types
 
 from mjslq.dynamics.mujoco.inverse import columns
-from mjslq.dynamics.mujoco.inverse.job import integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.accelerations import (
+    add_acceleration,
+    add_inertial_force,
+    clear_lever,
+    write_acceleration,
+)
+from mjslq.dynamics.mujoco.inverse.columns import ARMATURE, TENDON_NUMBERS
+from mjslq.dynamics.mujoco.inverse.constraints import evaluate_rows
+from mjslq.dynamics.mujoco.inverse.frames import clear_rows, is_below, moves, pose, quaternion_product, turned
+from mjslq.dynamics.mujoco.inverse.job import entry_count, integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.pressures import add_pressures, write_contacts, write_limit
+from mjslq.dynamics.mujoco.inverse.rigid import inward, outward
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     add6,
@@ -33,6 +45,7 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     cross3,
     cross_force,
     cross_motion,
+    dot6,
     head,
     inertia_times,
     inlined,
@@ -44,61 +57,97 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     tail,
     velocity_at,
 )  # fmt: skip
-from mjslq.dynamics.mujoco.kernels import _copy, mj_forward, mjd_transitionFD
+from mjslq.dynamics.mujoco.inverse.stages import difference_stages
 
 _POS, _QUAT, _AXIS, _VEL, _TURN = (
     columns.FRAME_POS, columns.FRAME_QUAT, columns.FRAME_AXIS, columns.FRAME_VEL, columns.FRAME_TURN
 )  # fmt: skip
-_LOCAL_VEL, _LOCAL_TURN = columns.LOCAL_VEL, columns.LOCAL_TURN
+_LOCAL_VEL, _LOCAL_TURN, _LOCAL_FIELD = columns.LOCAL_VEL, columns.LOCAL_TURN, columns.LOCAL_FIELD
 _COM, _SUBTREE_VEL, _SUBTREE_TURN = columns.SUBTREE_COM, columns.SUBTREE_VEL, columns.SUBTREE_TURN
 
 
 @compiled
-def difference_sensors(job, n, C, D):
-    """C and D of knot n by differences (no D at the last knot), from mjData that holds its state and control.
-
-    The constraint solver starts from the solution at the knot itself, found from a cold start.
-    """
-    warmstart = vector(job.qacc_warmstart, job.nv)
-    for i in range(job.nv):
-        warmstart[i] = 0.0
-    mj_forward(job.model, job.data)
-    _copy(vector(job.qacc, job.nv), warmstart)
-    at_end = n == job.N
-    mjd_transitionFD(
-        job.model,
-        job.data,
-        job.eps,
-        types.uint8(job.centered),
-        0,
-        0,
-        C.ctypes.data,
-        types.intp(0) if at_end else D.ctypes.data,
-    )
-
-
-@compiled
-def write_sensors(job, C, D):
-    """Rows of C and D that have a closed form, after the rigid bodies' sweep at the knot."""
+def write_motions(job, C, D):
+    """C and D of the sensors of positions, velocities and actuators, after the rigid bodies' sweep at the knot."""
     kinds, first = integers(job.sen_kind, job.nsensor), integers(job.sen_adr, job.nsensor)
     target = integers(job.sen_target, job.nsensor)
     for s in range(job.nsensor):
         kind, row, at = kinds[s], first[s], target[s]
-        if kind == columns.BY_DIFFERENCES:
-            continue
-        if kind <= columns.BALL_VEL:
+        if kind == columns.CONSTANT:
+            clear_rows(C, D, row, integers(job.sen_dim, job.nsensor)[s])
+        elif kind == columns.KINETIC_ENERGY:
+            _write_energy(job, row, C, D)
+        elif columns.JOINT_POS <= kind <= columns.BALL_VEL:
             _write_scalar(job, kind, row, at, C, D)
-        elif kind >= _COM:
-            _write_subtree(job, s, kind, row, C, D)
-        else:
+        elif columns.FRAME_POS <= kind <= columns.LOCAL_FIELD:
             _write_frame(job, s, kind, row, C, D)
+        elif _COM <= kind <= _SUBTREE_TURN:
+            _write_subtree(job, s, kind, row, C, D)
+
+
+@compiled
+def write_feelings(job, n, x, C, D):
+    """C and D of the other sensors, of knot n, and limits of all readings; may leave mjData away from x."""
+    kinds, first = integers(job.sen_kind, job.nsensor), integers(job.sen_adr, job.nsensor)
+    on_contacts = types.int64(0)
+    if job.sensors_accelerated:
+        outward(job, vector(job.qvel, job.nv), vector(job.acc_c, job.nv))
+        inward(job)
+        if job.sensors_on_rows and entry_count(job.data + job.at_nefc) > 0:
+            evaluate_rows(job, vector(job.acc_c, job.nv), 1)
+    for s in range(job.nsensor):
+        kind, row = kinds[s], first[s]
+        if columns.FRAME_ACC <= kind <= columns.LOCAL_ACC:
+            write_acceleration(job, s, kind, row, C, D)
+        elif columns.LIMIT_POS <= kind <= columns.LIMIT_FORCE:
+            write_limit(job, s, kind, row, C, D)
+        elif kind == columns.CONTACT:
+            on_contacts += 0 if write_contacts(job, s, row, C, D) else 1
+        elif kind >= columns.FORCE:
+            on_contacts += 0 if _write_force(job, s, kind, row, C, D) else 1
+    if job.sensors_differenced or job.sensors_cut or on_contacts > 0:
+        difference_stages(job, n, x, on_contacts, C, D)
+
+
+@compiled
+def _write_force(job, s, kind, row, C, D):
+    """Force, torque, touch; False when a contact has no closed form."""
+    count = types.int64(1 if kind == columns.TOUCH else 3)
+    clear_rows(C, D, row, count)
+    clear_lever(job)
+    if kind != columns.TOUCH:
+        add_inertial_force(job, s, kind, row, C)
+    known = add_pressures(job, s, kind, row, C)
+    add_acceleration(job, row, count, C, D)
+    return known
+
+
+@compiled
+def _write_energy(job, row, C, D):
+    """Kinetic energy: P_i . h^C by position, S_i . h^C by velocity, and what armature adds to that."""
+    cdof, P = matrix(job.cdof, job.nv, 6), matrix(job.dof_P, job.nv, 6)
+    momentum, body = matrix(job.body_momentum, job.nbody, 6), integers(job.dof_bodyid, job.nv)
+    qvel, armature = vector(job.qvel, job.nv), vector(job.dof_armature, job.nv)
+    clear_rows(C, D, row, 1)
+    for i in range(job.nv):
+        h = row6(momentum, body[i])
+        C[row, i] = dot6(row6(P, i), h)
+        C[row, job.nv + i] = dot6(row6(cdof, i), h) + armature[i] * qvel[i]
+    first, dofs = integers(job.ten_first, job.ntendon + 1), integers(job.ten_dof, job.nten_coef)
+    coefficients, prm = vector(job.ten_coef, job.nten_coef), matrix(job.ten_prm, job.ntendon, TENDON_NUMBERS)
+    for t in range(job.ntendon):
+        rate = 0.0
+        for k in range(first[t], first[t + 1]):
+            rate += coefficients[k] * qvel[dofs[k]]
+        for k in range(first[t], first[t + 1]):
+            C[row, job.nv + dofs[k]] += prm[t, ARMATURE] * coefficients[k] * rate
 
 
 @compiled
 def _write_scalar(job, kind, row, at, C, D):
     """Joints, fixed tendons, actuators."""
     nv = job.nv
-    _clear(C, D, row, 4 if kind == columns.BALL_QUAT else 3 if kind == columns.BALL_VEL else 1)
+    clear_rows(C, D, row, 4 if kind == columns.BALL_QUAT else 3 if kind == columns.BALL_VEL else 1)
     if kind == columns.JOINT_POS:
         C[row, at] = 1.0
     elif kind == columns.JOINT_VEL:
@@ -115,6 +164,10 @@ def _write_scalar(job, kind, row, at, C, D):
             C[row, shift + dofs[k]] += coefficients[k]
     elif kind == columns.ACTUATOR_FORCE:
         _add_force(job, at, 1.0, row, C, D)
+    elif kind == columns.TENDON_FORCE:
+        for i in range(job.nu):
+            if integers(job.act_tendon, job.nu)[i] == at:
+                _add_force(job, i, 1.0, row, C, D)
     elif kind == columns.JOINT_FORCE:
         first, free = integers(job.act_first, job.nu + 1), vector(job.act_free, job.nv)
         dofs, coefficients = integers(job.act_dof, job.nact_coef), vector(job.act_coef, job.nact_coef)
@@ -142,15 +195,6 @@ def _write_ball(job, row, dof, C):
 
 
 @inlined
-def _clear(C, D, row, size):
-    for k in range(row, row + size):
-        for c in range(C.shape[1]):
-            C[k, c] = 0.0
-        for c in range(D.shape[1]):
-            D[k, c] = 0.0
-
-
-@inlined
 def _add_force(job, i, scale, row, C, D):
     """Add the derivative of actuator i's force, times a number, to a row."""
     force, act = matrix(job.act_force, job.nu, columns.FORCE_NUMBERS), integers(job.act_adr, job.nu)[i]
@@ -164,56 +208,27 @@ def _add_force(job, i, scale, row, C, D):
         C[row, 2 * job.nv + act] += scale * force[i, 4]
 
 
-@inlined
-def _quaternion_product(p, q):
-    return (
-        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
-        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
-        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
-        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
-    )
-
-
-@inlined
-def _turned(q, a):
-    """Turn a vector by a unit quaternion."""
-    u = (q[1], q[2], q[3])
-    t = scale3(2.0, cross3(u, a))
-    return add3(add3(a, scale3(q[0], t)), cross3(u, t))
-
-
-@inlined
-def _pose(job, body, prm):
-    """Place relative to the centre of mass of the tree, place in the world, and quaternion of a frame in a body."""
-    xpos, xquat, com = (
-        matrix(job.xpos, job.nbody, 3),
-        matrix(job.xquat, job.nbody, 4),
-        matrix(job.subtree_com, job.nbody, 3),
-    )
-    q = (xquat[body, 0], xquat[body, 1], xquat[body, 2], xquat[body, 3])
-    p = add3(row3(xpos, body), _turned(q, (prm[0], prm[1], prm[2])))
-    x = sub3(p, row3(com, integers(job.body_rootid, job.nbody)[body]))
-    return x, p, _quaternion_product(q, (prm[3], prm[4], prm[5], prm[6]))
-
-
 @compiled
 def _write_frame(job, s, kind, row, C, D):
     """Frames: add what each dof does through the object, then what it does through the reference."""
     body, other = integers(job.sen_body, job.nsensor)[s], integers(job.sen_reference, job.nsensor)[s]
     prm = matrix(job.sen_prm, job.nsensor, columns.FRAME_NUMBERS)[s]
     vel, lastdof = matrix(job.body_vel, job.nbody, 6), integers(job.body_lastdof, job.nbody)
-    x, p, q = _pose(job, body, prm[:7])
-    x_r, p_r, q_r = _pose(job, other, prm[7:])
+    x, p, q = pose(job, body, prm[:7])
+    x_r, p_r, q_r = pose(job, other, prm[7:])
     V, V_r = row6(vel, body), row6(vel, other)
     apart = sub3(p, p_r)
     w = sub3(head(V), head(V_r))
     u = sub3(sub3(velocity_at(V, x), velocity_at(V_r, x_r)), cross3(head(V_r), apart))
     back = (q_r[0], -q_r[1], -q_r[2], -q_r[3])
-    if kind in (_LOCAL_VEL, _LOCAL_TURN):
+    if kind in (_LOCAL_VEL, _LOCAL_TURN, _LOCAL_FIELD):
         back = (q[0], -q[1], -q[2], -q[3])
     at = integers(job.sen_target, job.nsensor)[s]
-    axis = _turned(q, (1.0 if at == 0 else 0.0, 1.0 if at == 1 else 0.0, 1.0 if at == 2 else 0.0))
-    _clear(C, D, row, 4 if kind == _QUAT else 3)
+    axis = turned(q, (1.0 if at == 0 else 0.0, 1.0 if at == 1 else 0.0, 1.0 if at == 2 else 0.0))
+    if kind == _LOCAL_FIELD:
+        magnetic = vector(job.magnetic, 3)
+        axis = (-magnetic[0], -magnetic[1], -magnetic[2])
+    clear_rows(C, D, row, 4 if kind == _QUAT else 3)
     parent, cdof, rate = integers(job.dof_parentid, job.nv), matrix(job.cdof, job.nv, 6), matrix(job.dof_P, job.nv, 6)
     i = lastdof[body]
     while i >= 0:
@@ -245,20 +260,20 @@ def _add_to_row(job, kind, row, i, sign, dp, S, dv, dw, axis, by_v, q, back, C):
     zero = (0.0, 0.0, 0.0)
     if kind == _QUAT:
         h = 0.5 * sign
-        dq = _quaternion_product(_quaternion_product(back, (0.0, h * S[0], h * S[1], h * S[2])), q)
+        dq = quaternion_product(quaternion_product(back, (0.0, h * S[0], h * S[1], h * S[2])), q)
         for k in range(4):
             C[row + k, i] += dq[k]
         return
     by_q, velocity = zero, zero
     if kind == _POS:
         by_q = dp
-    elif kind == _AXIS:
+    elif kind in (_AXIS, _LOCAL_FIELD):
         by_q = cross3(head(S), axis)
     elif kind in (_VEL, _LOCAL_VEL):
         by_q, velocity = dv, by_v
     else:
         by_q, velocity = dw, head(S)
-    by_q, velocity = _turned(back, by_q), _turned(back, velocity)
+    by_q, velocity = turned(back, by_q), turned(back, velocity)
     for k in range(3):
         C[row + k, i] += sign * by_q[k]
         C[row + k, job.nv + i] += sign * velocity[k]
@@ -271,13 +286,13 @@ def _write_subtree(job, s, kind, row, C, D):
     mass = vector(job.body_subtreemass, job.nbody)[body]
     inertia, momentum = matrix(job.body_inertia, job.nbody, 10), matrix(job.body_momentum, job.nbody, 6)
     com = matrix(job.subtree_com, job.nbody, 3)
-    arm = sub3(row3(com, body), row3(com, integers(job.body_rootid, job.nbody)[body]))
+    root, whole = integers(job.body_rootid, job.nbody), _subtree_momentum(job, body)
     cdof, rate = matrix(job.cdof, job.nv, 6), matrix(job.dof_P, job.nv, 6)
     dof_body, lastdof = integers(job.dof_bodyid, job.nv), integers(job.body_lastdof, job.nbody)
-    _clear(C, D, row, 3)
+    clear_rows(C, D, row, 3)
     for i in range(job.nv):
-        within = _is_below(job, dof_body[i], body)
-        if not within and not _moves(job, i, lastdof[body]):
+        within = is_below(job, dof_body[i], body)
+        if not within and not moves(job, i, lastdof[body]):
             continue
         k, S = dof_body[i] if within else body, row6(cdof, i)
         carried = inertia_times(inertia, k, S)
@@ -287,7 +302,7 @@ def _write_subtree(job, s, kind, row, C, D):
         if kind == _SUBTREE_VEL:
             by_q, by_v = scale3(1.0 / mass, tail(change)), shift
         elif kind == _SUBTREE_TURN:
-            whole = tail(row6(momentum, body))
+            arm = sub3(row3(com, body), row3(com, root[dof_body[i]]))
             by_q = sub3(sub3(head(change), cross3(arm, tail(change))), cross3(shift, whole))
             by_v = sub3(head(carried), cross3(arm, tail(carried)))
         for c in range(3):
@@ -296,18 +311,13 @@ def _write_subtree(job, s, kind, row, C, D):
 
 
 @inlined
-def _is_below(job, b, top):
-    """Whether body b belongs to the subtree of body `top`."""
-    parent = integers(job.body_parentid, job.nbody)
-    while b > top:
-        b = parent[b]
-    return b == top
-
-
-@inlined
-def _moves(job, i, last):
-    """Whether dof i is `last` or one of its ancestors."""
-    parent = integers(job.dof_parentid, job.nv)
-    while last > i:
-        last = parent[last]
-    return last == i
+def _subtree_momentum(job, body):
+    """Linear momentum of a subtree; the world's is the sum over all trees."""
+    momentum, parent = matrix(job.body_momentum, job.nbody, 6), integers(job.body_parentid, job.nbody)
+    if body > 0:
+        return tail(row6(momentum, body))
+    total = (0.0, 0.0, 0.0)
+    for b in range(1, job.nbody):
+        if parent[b] == 0:
+            total = add3(total, tail(row6(momentum, b)))
+    return total
