@@ -131,6 +131,13 @@ def _beyond_the_metric(model: mujoco.MjModel) -> bool:
     return bool(not plain or open_ or spatial or in_fluid(model))
 
 
+def _feels_discrete_rows(model: mujoco.MjModel) -> bool:
+    """Whether sensors read forces of rows whose weights depend on the state."""
+    if implicit_level(model) != 3 or not can_be_constrained(model):
+        return False
+    return bool(sensors(model)["sensors_on_rows"])
+
+
 def _makes_rows(model: mujoco.MjModel, t: int) -> bool:
     """Whether tendon t has limits, friction or an equality constraint."""
     ends = (model.eq_obj1id == t) | (model.eq_obj2id == t)
@@ -165,6 +172,7 @@ _REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
     (lambda m: disabled(m, OFF.mjDSBL_ACTUATION), "its actuators are disabled"),
     (_odd_drag, "it has actuators with damping or armature that is not a hinge's, slide's or tendon's"),
     (_beyond_the_metric, "the discrete integrator takes forces implicitly that have no closed form here"),
+    (_feels_discrete_rows, "its sensors feel constraint forces, which the discrete integrator weighs anew at every step"),
     (_heavy_tendon, "it has tendons with armature that are spatial or run between branches"),
     (
         lambda m: m.opt.integrator == INT.mjINT_EULER and bool((dampers(m) < 0).any()),
