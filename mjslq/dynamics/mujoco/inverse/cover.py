@@ -172,7 +172,7 @@ _REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
     (lambda m: disabled(m, OFF.mjDSBL_ACTUATION), "its actuators are disabled"),
     (_odd_drag, "it has actuators with damping or armature that is not a hinge's, slide's or tendon's"),
     (_beyond_the_metric, "the discrete integrator takes forces implicitly that have no closed form here"),
-    (_feels_discrete_rows, "its sensors feel constraint forces, which the discrete integrator weighs anew at every step"),
+    (_feels_discrete_rows, "its sensors feel constraint forces, which the discrete integrator weighs by the state"),
     (_heavy_tendon, "it has tendons with armature that are spatial or run between branches"),
     (
         lambda m: m.opt.integrator == INT.mjINT_EULER and bool((dampers(m) < 0).any()),
