@@ -39,7 +39,7 @@ _DYNAMICS = [int(kind) for kind in (DYN.mjDYN_NONE, DYN.mjDYN_INTEGRATOR, DYN.mj
 _GAINS = [int(GAIN.mjGAIN_FIXED), int(GAIN.mjGAIN_AFFINE)]
 _BIASES = [int(BIAS.mjBIAS_NONE), int(BIAS.mjBIAS_AFFINE)]
 
-_POSITIONS = "by position differences of positions alone"
+_POSES = "but for how the contact itself moves: differences in the six relative motions of its geoms"
 
 
 def choose_jacobian(model: mujoco.MjModel, wanted: str) -> str:
@@ -63,15 +63,11 @@ def describe(model: mujoco.MjModel) -> list[tuple[str, str]]:
         if not closed.all():
             rest = sorted({TYPES[int(kind)] for kind in model.sensor_type[~closed]})
             rows.append((f"{int((~closed).sum())} sensors: {', '.join(rest)}", "outputs y; differences of the step"))
-    on_joints = int((model.eq_type == EQ.mjEQ_JOINT).sum())
-    if on_joints:
-        rows.append((f"{on_joints} equality constraints of joints", "analytic"))
-    if model.neq > on_joints:
-        rows.append((f"{model.neq - on_joints} other equality constraints", f"analytic by control; {_POSITIONS}"))
+    if model.neq:
+        rows.append((f"{model.neq} equality constraints", "analytic"))
     if has_contacts(model):
-        rows.append(("contacts of spheres, capsules, boxes, meshes with static planes", "analytic"))
-        rows.append(("contacts among spheres and capsules, of spheres with boxes", "analytic"))
-        rows.append(("other contacts", f"analytic by velocity and control; {_POSITIONS}"))
+        rows.append(("contacts that planes and spheres make, capsules with capsules", "analytic"))
+        rows.append(("other contacts", f"analytic, {_POSES}"))
     return rows
 
 

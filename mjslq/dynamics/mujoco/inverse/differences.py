@@ -1,11 +1,8 @@
 """Position derivatives of constraint forces for which there is no closed form here, by differences of positions alone.
 
 At fixed velocity and acceleration the forces J' s of the rows in question are a function of the pose, which costs the
-kinematics, the collisions and the rows themselves to evaluate; no dynamics and no solver. Only dofs that move something
-that such rows hold on to are varied: of contacts the chains of both bodies, of other rows the trees that they touch.
-
-Equality constraints other than those of joints have dJ/dt v in their aref, a quadratic form in v, whose derivative by v
-is the difference of its values one unit to either side: exact but for rounding.
+kinematics, the collisions and the rows themselves to evaluate; no dynamics and no solver. Only dofs of the trees that
+such rows touch are varied.
 """
 
 from __future__ import annotations
@@ -13,14 +10,10 @@ from __future__ import annotations
 from numba import types
 
 from mjslq.dynamics.mujoco.inverse.constraints import (
-    EQUALITY,
-    FRICTIONLESS,
     SATISFIED,
     evaluate_rows,
     find_rows,
     is_differenced,
-    mj_comVel,
-    mj_referenceConstraint,
     read_row,
 )
 from mjslq.dynamics.mujoco.inverse.job import entry_address, entry_count, flags, integers, vector
@@ -59,43 +52,6 @@ def add_differences(job, x, acc, F):
         for j in range(job.nv):
             F[j, i] += (plus[j] - minus[j]) / apart
     _evaluate_pose(job, x, way, 0.0, acc)
-    if job.bodies_tied:
-        _add_velocity_differences(job, marked, plus, minus, F)
-
-
-@compiled
-def _add_velocity_differences(job, marked, plus, minus, F):
-    """F += J' D daref/dv of the differenced equality constraints."""
-    qvel = vector(job.qvel, job.nv)
-    for i in range(job.nv):
-        if marked[i] == 0:
-            continue
-        v = qvel[i]
-        for side in range(2):
-            qvel[i] = v + 1.0 if side == 0 else v - 1.0
-            _pulls_at_velocity(job, plus if side == 0 else minus)
-        qvel[i] = v
-        for j in range(job.nv):
-            F[j, job.nv + i] += 0.5 * (plus[j] - minus[j])
-
-
-@compiled
-def _pulls_at_velocity(job, total):
-    """Sum J' D aref of the differenced equality constraints at the velocity in mjData."""
-    mj_comVel(job.model, job.data)
-    mj_referenceConstraint(job.model, job.data)
-    rows = entry_count(job.data + job.at_nefc)
-    kinds = flags(entry_address(job.data + job.at_efc_type), rows)
-    ids = flags(entry_address(job.data + job.at_efc_id), rows)
-    aref = vector(entry_address(job.data + job.at_efc_aref), rows)
-    D = vector(entry_address(job.data + job.at_efc_D), rows)
-    dofs, values = integers(job.dofs, job.nv), vector(job.values, job.nv)
-    for j in range(job.nv):
-        total[j] = 0.0
-    for r in range(rows):
-        if kinds[r] == EQUALITY and is_differenced(job, kinds[r], ids[r]):
-            for k in range(read_row(job, r, dofs, values)):
-                total[dofs[k]] += D[r] * aref[r] * values[k]
 
 
 @compiled
@@ -135,23 +91,13 @@ def _mark(job, marked):
     ids = flags(entry_address(job.data + job.at_efc_id), rows)
     states = flags(entry_address(job.data + job.at_efc_state), rows)
     dofs, values = integers(job.dofs, job.nv), vector(job.values, job.nv)
-    parent, tree = integers(job.dof_parentid, job.nv), integers(job.dof_treeid, job.nv)
-    lastdof, geom_body = integers(job.body_lastdof, job.nbody), integers(job.geom_bodyid, job.ngeom)
+    tree = integers(job.dof_treeid, job.nv)
     for i in range(job.nv):
         marked[i] = 0
     for r in range(rows):
         if states[r] == SATISFIED or not is_differenced(job, kinds[r], ids[r]):
             continue
-        if kinds[r] >= FRICTIONLESS:
-            contact = entry_address(job.data + job.at_contact) + ids[r] * job.at_contact_size
-            geoms = flags(contact + job.at_contact_geom, 2)
-            for side in range(2):
-                i = lastdof[geom_body[geoms[side]]]
-                while i >= 0:
+        for k in range(read_row(job, r, dofs, values)):
+            for i in range(job.nv):
+                if tree[i] == tree[dofs[k]]:
                     marked[i] = 1
-                    i = parent[i]
-        else:
-            for k in range(read_row(job, r, dofs, values)):
-                for i in range(job.nv):
-                    if tree[i] == tree[dofs[k]]:
-                        marked[i] = 1

@@ -29,19 +29,21 @@ from mjslq.dynamics.mujoco.kernels import _pointer
 SIZES = (
     "N", "first", "last", "nq", "nv", "na", "nu", "ny", "columns", "nbody", "ngeom", "nsite", "nspring", "nball",
     "ntendon", "nten_coef", "nact_coef", "nquat", "implicit", "gyroscopic", "compensated", "constrained", "neq",
-    "bodies_tied",
+    "bodies_tied", "neq_coef", "npair", "geom_types", "collision_functions",
     "nsensor", "sensors_differenced", "sparse", "centered",
 )  # fmt: skip
 INTEGERS = (
     "body_parentid", "body_rootid", "body_dofadr", "body_dofnum", "body_lastdof", "dof_bodyid", "dof_parentid",
     "dof_group", "dof_groupend", "dof_qadr", "dof_gyroscopic", "spring_dof", "spring_qadr", "ball_dof", "ball_qadr",
     "ten_first", "ten_dof", "act_first", "act_dof", "act_adr", "act_dynamics", "act_early", "act_enabled", "act_site",
-    "act_body", "quat_dof", "geom_bodyid", "geom_kind", "dof_treeid", "jnt_scalar",
-    "sen_kind", "sen_adr", "sen_target", "sen_body", "sen_reference", "eq_joint", "eq_dof",
+    "act_body", "quat_dof", "geom_bodyid", "geom_kind", "dof_treeid", "geom_type",
+    "pair_geoms",
+    "sen_kind", "sen_adr", "sen_target", "sen_body", "sen_reference", "eq_kind", "eq_body", "eq_first", "eq_dof",
 )  # fmt: skip
 NUMBERS = (
     "dof_armature", "dof_damping", "dof_force_range", "body_gravcomp", "spring_prm", "ball_prm", "ten_coef", "ten_prm",
-    "act_coef", "act_prm", "act_gear", "gravity", "geom_radius", "geom_size", "sen_prm", "eq_prm", "body_subtreemass",
+    "act_coef", "act_prm", "act_gear", "gravity", "geom_size", "geom_gap", "pair_gap", "sen_prm", "eq_prm",
+    "eq_coef", "tie_prm", "body_subtreemass",
 )  # fmt: skip
 VIEWS = (
     "qpos", "qvel", "act", "ctrl", "qacc", "cdof", "cinert", "subtree_com", "site_xpos", "site_xmat", "geom_xpos",
@@ -54,10 +56,11 @@ WORK: dict[str, tuple[int | str, int | str]] = {
     "M": ("nv", "nv"), "M_hat": ("nv", "nv"), "G": ("nv", "nv"), "T": ("nv", "nv"), "F": ("nv", "columns"),
     "E": ("nv", "columns"), "mixed": ("nv", "columns"), "acc_d": ("nv", 1), "acc_c": ("nv", 1), "change": ("nv", 1),
     "small": (24, 1), "jacobian": (10, "nv"), "directions": (10, 6), "djar": (10, 1), "before_a": ("nv", 6),
-    "before_v": ("nv", 6), "values": ("nv", 1), "plus": ("nv", 1), "minus": ("nv", 1),
+    "before_v": ("nv", 6), "values": ("nv", 1), "plus": ("nv", 1), "minus": ("nv", 1), "table": (6, 7),
+    "tables": (50 * 6, 7), "found": (2 * 50, 10),
 }  # fmt: skip
 """Shapes of the arrays for intermediate results."""
-INDICES = ("dofs", "chain", "marked", "member")
+INDICES = ("dofs", "chain", "marked", "member", "tabulated")
 """Arrays of nv integers for intermediate results."""
 RESULTS = ("X", "U", "A", "B", "C", "D")
 OFFSETS = tuple(f"at_{name}" for name in ARENA + COUNTS + tuple(f"contact_{name}" for name in (*CONTACT, "size")))

@@ -223,11 +223,11 @@ def _constrained_step(job, x):
     fine = _continuous_acceleration(job, M, M_hat, G)
     evaluate_rows(job, acc_c[:, 0], 1)
     _assign(G, M)
-    if add_rows(job, acc_c[:, 0], F, G):
-        add_differences(job, x, acc_c[:, 0], F)
     outward(job, vector(job.qvel, nv), acc_c[:, 0])
     inward(job)
     subtract_derivatives(job, F, T)
+    if add_rows(job, acc_c[:, 0], F, G):
+        add_differences(job, x, acc_c[:, 0], F)
     fine = factorize(G) and fine
     solve(G, F)
     if job.implicit == 0:

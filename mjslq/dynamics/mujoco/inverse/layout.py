@@ -19,7 +19,7 @@ ARENA = (
     "efc_J", "efc_pos", "efc_margin", "efc_KBIP", "efc_D", "efc_force", "efc_aref", "efc_vel",
 )  # fmt: skip
 COUNTS = ("ncon", "nefc")
-CONTACT = ("dist", "pos", "frame", "friction", "H", "dim", "geom", "efc_address")
+CONTACT = ("dist", "pos", "frame", "includemargin", "friction", "H", "dim", "geom", "efc_address")
 
 _VALUES = {
     "int": ctypes.c_int,
