@@ -124,7 +124,6 @@ def add_rows(job, acc, F, G):
     jar = vector(entry_address(job.data + job.at_efc_vel), rows)
     dofs, values = integers(job.dofs, job.nv), vector(job.values, job.nv)
     nv, rest, r = job.nv, False, 0
-    integers(job.tabulated, 1)[0] = 0
     while r < rows:
         kind = kinds[r]
         if kind == ELLIPTIC and states[r] == CONE:

@@ -19,10 +19,8 @@ google-deepmind/mujoco_warp#1535.
 
 from __future__ import annotations
 
-from mjslq.dynamics.mujoco.inverse.columns import BOX, CAPSULE, CYLINDER, ELLIPSOID, MESH, PLANE, SPHERE
-from mjslq.dynamics.mujoco.inverse.geometry import contact_motion, fill_by_curvature
+from mjslq.dynamics.mujoco.inverse.geometry import contact_motion
 from mjslq.dynamics.mujoco.inverse.job import entry_address, flags, integers, matrix, vector
-from mjslq.dynamics.mujoco.inverse.pairs import find_table
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     add6,
@@ -61,13 +59,9 @@ def add_contact(job, r, count, kind, contact, acc, F):
     bodies = (body[geoms[0]], body[geoms[1]])
     size = _directions(job, contact, kind, count)
     W = _wrench(job, r, size)
-    V_a = _velocities(job, bodies, acc, matrix(job.before_a, job.nv, 6))
-    V_v = _velocities(job, bodies, vector(job.qvel, job.nv), matrix(job.before_v, job.nv, 6))
-    point = vector(contact + job.at_contact_pos, 3)
-    p = (point[0], point[1], point[2])
-    points = (from_center(job, bodies[0], p), from_center(job, bodies[1], p))
-    table = _table(job, contact, geoms)
-    mark_members(job, bodies)
+    V_a = _velocities(job, bodies[0], bodies[1], acc, matrix(job.before_a, job.nv, 6))
+    V_v = _velocities(job, bodies[0], bodies[1], vector(job.qvel, job.nv), matrix(job.before_v, job.nv, 6))
+    points = _points(job, contact, bodies[0], bodies[1])
     parent, member = integers(job.dof_parentid, job.nv), integers(job.member, job.nv)
     lastdof = integers(job.body_lastdof, job.nbody)
     for side in range(2):
@@ -75,36 +69,15 @@ def add_contact(job, r, count, kind, contact, acc, F):
         while i >= 0:
             # a dof that moves both bodies comes up twice: it is dealt with on the second side
             if side == 1 or member[i] == 1:
-                _add_dof(job, r, size, kind, contact, table, i, member[i], V_a, V_v, bodies, points, W, F)
+                _add_dof(job, r, size, kind, contact, i, member[i], V_a, V_v, bodies, points, W, F)
             i = parent[i]
 
 
 @compiled
-def _table(job, contact, geoms):
-    """How the contact's features move with its geoms."""
-    kind = integers(job.geom_kind, job.ngeom)
-    if _meets_in_points(kind[geoms[0]], kind[geoms[1]]):
-        table = matrix(job.table, 6, 7)
-        if fill_by_curvature(job, contact, table):
-            return table
-    return find_table(job, contact)
-
-
-@inlined
-def _meets_in_points(first, second):
-    """Whether every contact of two kinds of geoms is one point of either that faces the other."""
-    if first == PLANE:
-        return second in (SPHERE, CAPSULE, BOX, MESH, ELLIPSOID)
-    if first == SPHERE:
-        return second in (SPHERE, CAPSULE, BOX, ELLIPSOID, CYLINDER)
-    return first == CAPSULE and second == CAPSULE
-
-
-@compiled
-def _add_dof(job, r, size, kind, contact, table, i, sides, V_a, V_v, bodies, points, W, F):
+def _add_dof(job, r, size, kind, contact, i, sides, V_a, V_v, bodies, points, W, F):
     """Change of all generalized forces with dof i, which moves body 1 (sides 1), body 2 (sides 2) or both (sides 3)."""
     S = row6(matrix(job.cdof, job.nv, 6), i)
-    dp, ddist, phi = contact_motion(job, contact, table, S, sides, points)
+    dp, ddist, phi = contact_motion(job, contact, S, sides)
     by_a = _rate(S, row6(matrix(job.before_a, job.nv, 6), i), V_a, sides, points, dp, phi)
     by_v = _rate(S, row6(matrix(job.before_v, job.nv, 6), i), V_v, sides, points, dp, phi)
     push = _force_change(job, r, size, kind, contact, by_a, by_v, ddist)
@@ -141,9 +114,10 @@ def _directions(job, contact, kind, count):
 
 
 @compiled
-def _velocities(job, bodies, x, before):
-    """V = sum S_j x_j of both bodies; V before each dof's group into `before`."""
-    return _chain_velocity(job, bodies[0], x, before), _chain_velocity(job, bodies[1], x, before)
+def _velocities(job, first, second, x, before):
+    """V = sum S_j x_j of both bodies; V before each dof's group into `before`, who moves whom into job.member."""
+    mark_members(job, (first, second))
+    return _chain_velocity(job, first, x, before), _chain_velocity(job, second, x, before)
 
 
 @compiled
@@ -164,6 +138,14 @@ def _chain_velocity(job, body, x, before):
         put6(before, i, start)
         V = add6(V, scale6(x[i], row6(cdof, i)))
     return V
+
+
+@inlined
+def _points(job, contact, first, second):
+    """The contact's point relative to the centre of mass of either body's tree."""
+    point = vector(contact + job.at_contact_pos, 3)
+    p = (point[0], point[1], point[2])
+    return from_center(job, first, p), from_center(job, second, p)
 
 
 @inlined

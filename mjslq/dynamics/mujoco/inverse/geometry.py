@@ -20,8 +20,8 @@ of which the part across n and the part along it are
 
 and dp = W_1 dn + dist dn / 2 + n ddist / 2. On a static plane dn = 0. Infinite radii are taken as FLAT.
 
-All this is linear in (theta, v): a table of six rows, made once a contact, holds it. Pairs whose contacts are no such
-points, one opposite the other, have their tables by differences (`pairs`).
+All this is linear in (theta, v): a table of six rows, made once a contact, holds it. Where MuJoCo finds contacts by
+iteration, or more of them than one point that faces another, the tables are made by differences (`pairs`).
 
 phi = n x dn + spin n, and the spin follows from the rule by which MuJoCo finds the first tangent: the part across n of
 the y axis (the z axis, when n is near y); capsules on planes have their own axis' part instead.
@@ -31,8 +31,9 @@ from __future__ import annotations
 
 import math
 
-from mjslq.dynamics.mujoco.inverse.columns import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
+from mjslq.dynamics.mujoco.inverse.columns import BOX, CAPSULE, CYLINDER, ELLIPSOID, MESH, PLANE, SPHERE
 from mjslq.dynamics.mujoco.inverse.job import flags, integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.pairs import MOST, fill_by_differences, first_of_pair
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     compiled,
@@ -45,38 +46,89 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     sub3,
     velocity_at,
 )  # fmt: skip
+from mjslq.dynamics.mujoco.inverse.wrenches import from_center
 
 FLAT = 1e7
 """What stands for an infinite radius of curvature. [m]"""
-_ON, _NEAR = 1e-9, 1e-6
-"""How near to the end of a side, relatively, a point counts as on the end: exact ones, ones found by iteration."""
+_ON = 1e-9
+"""How near to the end of a side, relatively, a point counts as on the end."""
 
 
 @compiled
-def contact_motion(job, contact, table, S, sides, points):
+def contact_motion(job, contact, S, sides):
     """(dp, ddist, phi) of a contact for a dof S that moves geom 1 (sides & 1), geom 2 (sides & 2)."""
     geoms = flags(contact + job.at_contact_geom, 2)
+    kinds, body = integers(job.geom_kind, job.ngeom), integers(job.geom_bodyid, job.ngeom)
     n = row3(matrix(contact + job.at_contact_frame, 3, 3), 0)
-    zero = (0.0, 0.0, 0.0)
-    dp, dn = (velocity_at(S, points[0]), cross3(head(S), n)) if sides & 1 else (zero, zero)
-    ddist = 0.0
+    point = vector(contact + job.at_contact_pos, 3)
+    # a dof that moves both geoms moves them as one
+    mover = geoms[0] if sides & 1 else geoms[1]
+    theta, v = head(S), velocity_at(S, from_center(job, body[mover], (point[0], point[1], point[2])))
+    ddist, dp, dn = 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    if sides & 1:
+        dp, dn = v, cross3(theta, n)
     if sides != 3:
-        v, sign = velocity_at(S, points[1] if sides & 2 else points[0]), 1.0 if sides & 2 else -1.0
+        table, sign = _find_table(job, contact), 1.0 if sides & 2 else -1.0
         for k in range(6):
-            rate = sign * (S[k] if k < 3 else v[k - 3])
+            rate = sign * (theta[k] if k < 3 else v[k - 3])
             ddist += rate * table[k, 0]
             dp = add3(dp, scale3(rate, (table[k, 1], table[k, 2], table[k, 3])))
             dn = add3(dn, scale3(rate, (table[k, 4], table[k, 5], table[k, 6])))
-    kinds = integers(job.geom_kind, job.ngeom)
     if kinds[geoms[0]] == PLANE and kinds[geoms[1]] == CAPSULE:
-        spin = _spin_of_capsule(job, geoms[1], n, head(S))
+        spin = _spin_of_capsule(job, geoms[1], n, theta)
     else:
         spin = _spin_of_frame(job, contact, n, dn)
     return dp, ddist, add3(cross3(n, dn), scale3(spin, n))
 
 
 @compiled
-def fill_by_curvature(job, contact, table):
+def _find_table(job, contact):
+    """Table (6, 7) of a contact. Those of the last contact and of all contacts of the last pair of geoms are kept."""
+    own = matrix(job.tables + 8 * 42 * MOST, 6, 7)
+    if _is_kept(job, 0, contact):
+        return own
+    first = first_of_pair(job, contact)
+    k = (contact - first) // job.at_contact_size
+    if not (_is_kept(job, 1, first) and k < MOST):
+        if _meets_in_points(job, contact) and _fill_by_curvature(job, contact, own):
+            _keep(job, 0, contact)
+            return own
+        fill_by_differences(job, first)
+        _keep(job, 1, first)
+    return matrix(job.tables + 8 * 42 * min(k, MOST - 1), 6, 7)
+
+
+@compiled
+def _is_kept(job, place, contact):
+    """Whether the tables kept in a place are those of this contact, told by its geoms, its point and its distance."""
+    kept, geoms = matrix(job.tabulated, 2, 6)[place], flags(contact + job.at_contact_geom, 2)
+    point, dist = vector(contact + job.at_contact_pos, 3), vector(contact + job.at_contact_dist, 1)[0]
+    same = kept[0] == point[0] and kept[1] == point[1] and kept[2] == point[2] and kept[3] == dist
+    return same and kept[4] == geoms[0] + 1 and kept[5] == geoms[1] + 1
+
+
+@compiled
+def _keep(job, place, contact):
+    kept, geoms = matrix(job.tabulated, 2, 6)[place], flags(contact + job.at_contact_geom, 2)
+    point = vector(contact + job.at_contact_pos, 3)
+    kept[0], kept[1], kept[2], kept[3] = point[0], point[1], point[2], vector(contact + job.at_contact_dist, 1)[0]
+    kept[4], kept[5] = geoms[0] + 1, geoms[1] + 1  # no geom leaves a place that is still empty
+
+
+@inlined
+def _meets_in_points(job, contact):
+    """Whether every contact of two geoms is exactly one point of either that faces the other."""
+    geoms, kinds = flags(contact + job.at_contact_geom, 2), integers(job.geom_kind, job.ngeom)
+    first, second = kinds[geoms[0]], kinds[geoms[1]]
+    if first == PLANE:
+        return second in (SPHERE, CAPSULE, BOX, MESH, ELLIPSOID)
+    if first == SPHERE:
+        return second in (SPHERE, CAPSULE, BOX, CYLINDER)
+    return first == CAPSULE and second == CAPSULE
+
+
+@compiled
+def _fill_by_curvature(job, contact, table):
     """Write what (ddist, dp, dn) are per unit of (theta, v); False where the surfaces' radii cancel the distance."""
     geoms = flags(contact + job.at_contact_geom, 2)
     frame = matrix(contact + job.at_contact_frame, 3, 3)
@@ -167,10 +219,10 @@ def _radii_of_cylinder(size, axis, n, r, t, b):
     """Around its side and along it; flat on a cap; along the rim."""
     along = dot3(axis, r)
     outward = sub3(r, scale3(along, axis))
-    if abs(along) < size[1] * (1.0 - _NEAR):
+    if abs(along) < size[1] * (1.0 - _ON):
         W = _along(FLAT, axis, t, b)
         return W[0] + size[0], W[1], W[2] + size[0]
-    if math.sqrt(dot3(outward, outward)) < size[0] * (1.0 - _NEAR):
+    if math.sqrt(dot3(outward, outward)) < size[0] * (1.0 - _ON):
         return FLAT, 0.0, FLAT
     across = sub3(n, scale3(dot3(axis, n), axis))
     square = dot3(across, across)

@@ -56,11 +56,11 @@ WORK: dict[str, tuple[int | str, int | str]] = {
     "M": ("nv", "nv"), "M_hat": ("nv", "nv"), "G": ("nv", "nv"), "T": ("nv", "nv"), "F": ("nv", "columns"),
     "E": ("nv", "columns"), "mixed": ("nv", "columns"), "acc_d": ("nv", 1), "acc_c": ("nv", 1), "change": ("nv", 1),
     "small": (24, 1), "jacobian": (10, "nv"), "directions": (10, 6), "djar": (10, 1), "before_a": ("nv", 6),
-    "before_v": ("nv", 6), "values": ("nv", 1), "plus": ("nv", 1), "minus": ("nv", 1), "table": (6, 7),
-    "tables": (50 * 6, 7), "found": (2 * 50, 10),
+    "before_v": ("nv", 6), "values": ("nv", 1), "plus": ("nv", 1), "minus": ("nv", 1), "tables": (306, 7),
+    "tabulated": (2, 6), "found": (100, 10),
 }  # fmt: skip
 """Shapes of the arrays for intermediate results."""
-INDICES = ("dofs", "chain", "marked", "member", "tabulated")
+INDICES = ("dofs", "chain", "marked", "member")
 """Arrays of nv integers for intermediate results."""
 RESULTS = ("X", "U", "A", "B", "C", "D")
 OFFSETS = tuple(f"at_{name}" for name in ARENA + COUNTS + tuple(f"contact_{name}" for name in (*CONTACT, "size")))

@@ -47,25 +47,13 @@ def _collide(
 
 
 @compiled
-def find_table(job, contact):
-    """Table (6, 7) of a contact, made together with those of all contacts of its geoms.
-
-    The last pair's tables are kept, under the address of its first contact in job.tabulated.
-    """
+def first_of_pair(job, contact):
+    """Address of the first contact of the geoms of this one; they follow on each other."""
     geoms, size = flags(contact + job.at_contact_geom, 2), job.at_contact_size
     start = entry_address(job.data + job.at_contact)
-    end = start + size * entry_count(job.data + job.at_ncon)
-    first, last = contact, contact + size
-    while first > start and _same_geoms(job, first - size, geoms):
-        first -= size
-    while last < end and _same_geoms(job, last, geoms):
-        last += size
-    count = min((last - first) // size, MOST)
-    tabulated = integers(job.tabulated, 1)
-    if tabulated[0] != first:
-        _tabulate(job, first, count, geoms)
-        tabulated[0] = first
-    return matrix(job.tables + 8 * 42 * min((contact - first) // size, MOST - 1), 6, 7)
+    while contact > start and _same_geoms(job, contact - size, geoms):
+        contact -= size
+    return contact
 
 
 @inlined
@@ -75,8 +63,12 @@ def _same_geoms(job, contact, geoms):
 
 
 @compiled
-def _tabulate(job, first, count, geoms):
-    """Write the tables of the `count` contacts of a pair of geoms, the first at address `first`."""
+def fill_by_differences(job, first):
+    """Write the tables of all contacts of a pair of geoms, the first at address `first`, into job.tables."""
+    geoms, size, count = flags(first + job.at_contact_geom, 2), job.at_contact_size, 1
+    end = entry_address(job.data + job.at_contact) + size * entry_count(job.data + job.at_ncon)
+    while count < MOST and first + count * size < end and _same_geoms(job, first + count * size, geoms):
+        count += 1
     xpos, xmat = matrix(job.geom_xpos, job.ngeom, 3)[geoms[1]], matrix(job.geom_xmat, job.ngeom, 9)[geoms[1]]
     point = vector(first + job.at_contact_pos, 3)
     pivot, place = (point[0], point[1], point[2]), (xpos[0], xpos[1], xpos[2])
@@ -97,7 +89,7 @@ def _tabulate(job, first, count, geoms):
             )
             plus, minus = (plus, touching) if side else (touching, minus)
         for c in range(count):
-            contact, table = first + c * job.at_contact_size, matrix(job.tables + 8 * 42 * c, 6, 7)
+            contact, table = first + c * size, matrix(job.tables + 8 * 42 * c, 6, 7)
             _difference(job, contact, found[:plus], found[MOST : MOST + minus], table[k])
             if _is_missing(table[k]):
                 _freeze(job, contact, k, pivot, table[k])
@@ -105,7 +97,7 @@ def _tabulate(job, first, count, geoms):
         xmat[k] = pose[k]
     xpos[0], xpos[1], xpos[2] = place
     for c in range(count):
-        _shift(job, first + c * job.at_contact_size, pivot, matrix(job.tables + 8 * 42 * c, 6, 7))
+        _shift(job, first + c * size, pivot, matrix(job.tables + 8 * 42 * c, 6, 7))
 
 
 @inlined
