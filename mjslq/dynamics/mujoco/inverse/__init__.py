@@ -4,7 +4,9 @@ kernel              the equations, and the loop over knots
 spatial, algebra    spatial vectors, small dense matrices
 rigid               the rigid bodies' inverse dynamics and their derivatives
 forces              springs, dampers, actuators
-constraints, contacts, geometry, differences    constraint rows: in closed form, or by differences of positions
+constraints, equalities, contacts, wrenches    constraint rows in closed form
+geometry, pairs     how contacts move: in closed form, or by differences in the relative pose of two geoms
+differences         the few rows left, by differences of positions
 sensors, outputs    C and D
 cover, plan, layout, job, columns    which models are covered; what the kernel is told about one
 jacobians           the engine's side

@@ -4,8 +4,8 @@ GAIN, BIAS, TIME_CONSTANT, CTRL_RANGE, FORCE_RANGE, ACT_RANGE, ACTUATOR_NUMBERS 
 """Columns of act_prm."""
 BAND, STIFFNESS, DAMPING, ARMATURE, TENDON_NUMBERS = 0, 2, 5, 8, 9
 """Columns of ten_prm."""
-OTHER, PLANE, MESH, SPHERE, CAPSULE, BOX, ELLIPSOID, CYLINDER = range(8)
-"""Kinds of geoms: a static plane, shapes that contacts have closed forms for, any other."""
+OTHER, PLANE, MESH, SPHERE, CAPSULE, BOX, ELLIPSOID, CYLINDER, FIELD = range(9)
+"""Kinds of geoms: shapes that some contacts have closed forms for, signed distance fields, any other."""
 UNKNOWN, BY_LENGTHS, CONNECT, WELD = range(4)
 """Kinds of equality constraints: of joints' positions or fixed tendons' lengths, of bodies, any other."""
 TIE_NUMBERS = 15

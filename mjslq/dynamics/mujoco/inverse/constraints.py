@@ -19,8 +19,9 @@ friction of joints and tendons has none. Where J changes, there are besides - D 
     limit of a ball joint      pos = range - t, with t >= 0 the angle and n the axis of its rotation: J = -n',
                                dn = ([n] + cot(t/2) (1 - n n')) dq / 2
 
-Contacts are in `contacts`, the equality constraints connect and weld in `equalities`. What remains (rows of spatial
-tendons) is differenced, in positions alone, and only at knots where such rows push: `differences`.
+Contacts are in `contacts`, the equality constraints connect and weld in `equalities`. What remains (signed distance
+fields, whose contacts do not depend on the geoms' poses alone, and rows of spatial tendons) is differenced, in
+positions alone, and only at knots where such rows push: `differences`.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ import math
 
 from numba import types
 
-from mjslq.dynamics.mujoco.inverse.columns import BY_LENGTHS, CONNECT, UNKNOWN, WELD
+from mjslq.dynamics.mujoco.inverse.columns import BY_LENGTHS, CONNECT, FIELD, PLANE, UNKNOWN, WELD
 from mjslq.dynamics.mujoco.inverse.contacts import add_contact
 from mjslq.dynamics.mujoco.inverse.equalities import add_tie
 from mjslq.dynamics.mujoco.inverse.job import entry_address, entry_count, flags, integers, matrix, vector
@@ -104,7 +105,13 @@ def read_row(job, r, dofs, values):
 @compiled
 def is_differenced(job, kind, index):
     """Whether the position derivative of a row is taken by differences; `index` is its efc_id."""
-    return kind == EQUALITY and integers(job.eq_kind, job.neq)[index] == UNKNOWN
+    if kind == EQUALITY:
+        return integers(job.eq_kind, job.neq)[index] == UNKNOWN
+    if kind < FRICTIONLESS:
+        return False
+    contact = entry_address(job.data + job.at_contact) + index * job.at_contact_size
+    geoms, geom_kind = flags(contact + job.at_contact_geom, 2), integers(job.geom_kind, job.ngeom)
+    return geom_kind[geoms[1]] == FIELD and geom_kind[geoms[0]] != PLANE
 
 
 @compiled
@@ -158,7 +165,8 @@ def add_rows(job, acc, F, G):
             contact = entry_address(job.data + job.at_contact) + ids[r] * job.at_contact_size
             dim = flags(contact + job.at_contact_dim, 1)[0]
             count = 2 * (dim - 1) if kind == PYRAMIDAL else dim
-            add_contact(job, r, count, kind, contact, acc, F)
+            if not is_differenced(job, kind, ids[r]):
+                add_contact(job, r, count, kind, contact, acc, F)
             if kind == ELLIPTIC and states[r] == CONE:
                 r += count - 1
         r += 1

@@ -19,6 +19,7 @@ from mjslq.dynamics.mujoco.inverse.plan import (
     DYN,
     EQ,
     GAIN,
+    GEOM,
     INT,
     JOINT,
     OFF,
@@ -39,6 +40,7 @@ _DYNAMICS = [int(kind) for kind in (DYN.mjDYN_NONE, DYN.mjDYN_INTEGRATOR, DYN.mj
 _GAINS = [int(GAIN.mjGAIN_FIXED), int(GAIN.mjGAIN_AFFINE)]
 _BIASES = [int(BIAS.mjBIAS_NONE), int(BIAS.mjBIAS_AFFINE)]
 
+_POSITIONS = "by position differences of positions alone"
 _POSES = "but for how the contact itself moves: differences in the six relative motions of its geoms"
 
 
@@ -68,6 +70,8 @@ def describe(model: mujoco.MjModel) -> list[tuple[str, str]]:
     if has_contacts(model):
         rows.append(("contacts that planes and spheres make, capsules with capsules", "analytic"))
         rows.append(("other contacts", f"analytic, {_POSES}"))
+        if (model.geom_type == GEOM.mjGEOM_SDF).any():
+            rows.append(("contacts of signed distance fields", f"analytic by velocity and control; {_POSITIONS}"))
     return rows
 
 

@@ -150,7 +150,7 @@ def _ranges(limited: Any, given: Any) -> Any:
 _SHAPES = {
     GEOM.mjGEOM_MESH: columns.MESH, GEOM.mjGEOM_BOX: columns.BOX, GEOM.mjGEOM_SPHERE: columns.SPHERE,
     GEOM.mjGEOM_CAPSULE: columns.CAPSULE, GEOM.mjGEOM_ELLIPSOID: columns.ELLIPSOID,
-    GEOM.mjGEOM_CYLINDER: columns.CYLINDER, GEOM.mjGEOM_PLANE: columns.PLANE,
+    GEOM.mjGEOM_CYLINDER: columns.CYLINDER, GEOM.mjGEOM_PLANE: columns.PLANE, GEOM.mjGEOM_SDF: columns.FIELD,
 }  # fmt: skip
 
 
