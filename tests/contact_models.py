@@ -1,4 +1,4 @@
-"""Models of two bodies that touch or are tied to each other, for the tests of the Jacobians through inverse dynamics."""
+"""Models of two bodies that touch or are tied to each other, for tests of the Jacobians through inverse dynamics."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def two_geoms(
       <worldbody>{bodies}</worldbody><actuator><motor joint="j"/></actuator></mujoco>"""
 
 
-def touching(first: str, second: str, seed: int, depth: float = 2e-3, aligned: bool = False, **options: object) -> str:
+def touching(first: str, second: str, seed: int, depth: float = 4e-3, aligned: bool = False, **options: object) -> str:
     """Like `two_geoms`, in random poses (or, aligned, one upon the other), a little inside each other."""
     rng = np.random.default_rng(seed)
     turned, quat, way = (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import contact_models as models
 import mujoco
 import numpy as np
@@ -27,7 +29,7 @@ WAYS = [
 """Bodies in two trees or in one, cones, condim, stiff and soft contacts."""
 
 
-def a_trajectory(dynamics: MujocoDynamics, N: int, spread: float = 0.0, speed: float = 0.02) -> Trajectory:
+def a_trajectory(dynamics: MujocoDynamics, N: int, spread: float, speed: float) -> Trajectory:
     rng = np.random.default_rng(0)
     nv = dynamics.model.nv
     push = np.append(spread * rng.normal(size=nv), speed * rng.normal(size=nv))
@@ -43,16 +45,20 @@ def pushing_rows(dynamics: MujocoDynamics, trajectory: Trajectory) -> int:
     return int((np.abs(data.efc_force) > 1e-9).sum())
 
 
-def errors_by_knot(xml: str, N: int = 2, **options: float) -> tuple[Array, Array]:
+def errors_by_knot(
+    xml: str, N: int = 2, spread: float = 0.0, speed: float = 0.01, widths: tuple[float, ...] = (1e-6, 1e-7)
+) -> tuple[Array, Array]:
     """Relative errors of A and B at each knot, ours and those of one-sided differences of the step.
 
-    Against fine references of two widths, of which the nearer one counts: the other may straddle a kink.
+    Against fine references of several widths, of which the nearest counts: the others may straddle a kink.
     """
     dynamics = MujocoDynamics.from_xml(xml, jacobian="inverse", threads=1)
-    trajectory = a_trajectory(dynamics, N, **options)
+    trajectory = a_trajectory(dynamics, N, spread, speed)
+    if pushing_rows(dynamics, trajectory) == 0:  # what flies apart one way comes together the other way
+        trajectory = a_trajectory(dynamics, N, spread, -3.0 * speed)
     assert not trajectory.diverged and pushing_rows(dynamics, trajectory) > 0
     transition = MujocoDynamics.from_xml(xml, jacobian="transition", centered=False, threads=1)
-    fine = [fine_reference(dynamics, trajectory, eps) for eps in (1e-6, 1e-7)]
+    fine = [fine_reference(dynamics, trajectory, eps) for eps in widths]
 
     def errors(given: Linearization) -> Array:
         by_width = [
@@ -64,7 +70,7 @@ def errors_by_knot(xml: str, N: int = 2, **options: float) -> tuple[Array, Array
     return errors(dynamics.linearize(trajectory)), errors(transition.linearize(trajectory))
 
 
-def assert_exact(xml: str, tolerance: float = 1e-7, **options: float) -> None:
+def assert_exact(xml: str, tolerance: float = 1e-7, **options: Any) -> None:
     ours, _ = errors_by_knot(xml, **options)
     assert ours.max() < tolerance, ours
 
@@ -85,13 +91,15 @@ def test_round_geoms_whose_contacts_mujoco_finds_by_formula(pair):
         assert_exact(models.touching(*pair, seed, **way))
 
 
-@pytest.mark.parametrize(("first", "second"), [pair for pair in models.PAIRS if set(pair) & set(ROUND)])
-def test_round_geoms_whose_contacts_mujoco_finds_by_iteration(first, second):
-    # what stands in for their surfaces has kinks that are nearer than any difference is wide
-    ways = WAYS[:1] if first in models.GROUND else WAYS[:3:2]
-    both = [errors_by_knot(models.touching(first, second, seed, **way)) for way in ways for seed in (0, 1)]
-    ours, theirs = np.median(both, axis=(0, 2))
-    assert ours < max(1e-7, theirs), (ours, theirs)
+def test_round_geoms_whose_contacts_mujoco_finds_by_iteration():
+    # what stands in for their surfaces has kinks, some nearer than any difference is wide
+    both = []
+    for pair in models.PAIRS:
+        if set(pair) & set(ROUND) and pair[0] != "plane":
+            both += [errors_by_knot(models.touching(*pair, seed, **WAYS[0]), N=1) for seed in (0, 1)]
+    ours, theirs = np.array(both)[:, :, 0].T
+    assert np.median(ours) < 1e-7, np.sort(ours)
+    assert np.mean(ours) < np.mean(theirs) and (ours < theirs).mean() > 0.7
 
 
 @pytest.mark.parametrize("pair", [("box", "box"), ("box", "mesh"), ("cylinder", "cylinder"), ("plane", "cylinder")])
@@ -103,7 +111,7 @@ def test_geoms_that_lie_on_each_other(pair):
 @given(st.sampled_from([p for p in models.PAIRS if not set(p) & {*ROUND, *models.GROUND}]), st.integers(2, 10**6))
 @settings(max_examples=10)
 def test_random_poses(pair, seed):
-    assert_exact(models.touching(*pair, seed, depth=4e-3, **WAYS[seed % len(WAYS)]), N=1)
+    assert_exact(models.touching(*pair, seed, **WAYS[seed % len(WAYS)]), N=1)
 
 
 @pytest.mark.parametrize("pair", [("box", "box"), ("box", "mesh"), ("sphere", "mesh")])
@@ -131,11 +139,11 @@ def test_equality_constraints(tie):
         ("implicit", "sparse", 'solimp=".9 .95 .001" solref=".01 1"'),
     ):
         xml = models.tied(tie, integrator, jacobian, parameters)
-        assert_exact(xml, tolerance=1e-8, spread=0.2, speed=1.0)
+        assert_exact(xml, tolerance=1e-8, spread=0.2, speed=1.0, widths=(1e-5,))
 
 
 @given(st.sampled_from(sorted(models.TIES)), st.floats(0.1, 1.0), st.floats(0.1, 3.0))
 @settings(max_examples=10)
 def test_equality_constraints_far_from_satisfied(tie, spread, speed):
     xml = models.tied(tie, "implicitfast", "dense", 'solimp=".3 .9 1.5"')
-    assert_exact(xml, tolerance=1e-8, N=1, spread=spread, speed=speed)
+    assert_exact(xml, tolerance=1e-8, N=1, spread=spread, speed=speed, widths=(1e-5,))

@@ -27,6 +27,8 @@ from mjslq.dynamics.mujoco.inverse.spatial import compiled, cross3, dot3, inline
 MOST = int(mujoco.mjMAXCONPAIR)
 """Contacts that two geoms can have."""
 _DIST, _POS, _NORMAL, _PRECONTACT = 0, 1, 4, 10
+_WIDTH = 0.1
+"""Width of the differences, in units of the job's eps: no solver's noise is in them, and kinks are near."""
 _REACH = 1e3
 """How far a contact may move and still be the same, in units of eps."""
 
@@ -79,10 +81,11 @@ def fill_by_differences(job, first):
     function = entry_address(job.collision_functions + 8 * (kinds[geoms[0]] * job.geom_types + kinds[geoms[1]]))
     margin = vector(first + job.at_contact_includemargin, 1)[0] + _gap(job, geoms)
     found = matrix(job.found, 2 * MOST, _PRECONTACT)
+    eps = _WIDTH * job.eps
     for k in range(6):
         plus, minus = 0, 0
         for side in range(2 if job.centered else 1):
-            _move(k, -job.eps if side else job.eps, pivot, place, pose, xpos, xmat)
+            _move(k, -eps if side else eps, pivot, place, pose, xpos, xmat)
             into = job.found + 8 * MOST * _PRECONTACT * side
             touching = _collide(
                 function, job.model, job.data, into, numba.int32(geoms[0]), numba.int32(geoms[1]), margin
@@ -135,9 +138,9 @@ def _difference(job, contact, plus, minus, row):
     """Write a row of a contact's table: (ddist, dp, dn), or nan where the contact is found on neither side."""
     dist, pos = vector(contact + job.at_contact_dist, 1), vector(contact + job.at_contact_pos, 3)
     frame = vector(contact + job.at_contact_frame, 9)
-    p = _nearest(plus, pos, frame, _REACH * job.eps)
-    m = _nearest(minus, pos, frame, _REACH * job.eps)
-    apart = 1.0 / ((job.eps if p >= 0 else 0.0) + (job.eps if m >= 0 else 0.0))
+    eps = _WIDTH * job.eps
+    p, m = _nearest(plus, pos, frame, _REACH * eps), _nearest(minus, pos, frame, _REACH * eps)
+    apart = 1.0 / ((eps if p >= 0 else 0.0) + (eps if m >= 0 else 0.0))
     for c in range(7):
         here = dist[0] if c == 0 else pos[c - 1] if c < 4 else frame[c - 4]
         row[c] = ((plus[p, c] if p >= 0 else here) - (minus[m, c] if m >= 0 else here)) * apart
