@@ -80,6 +80,9 @@ def touching(first: str, second: str, seed: int, depth: float = 4e-3, aligned: b
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
+    B = model.geom("B")
+    # the compiler moves a mesh within its body
+    shift = data.geom_xpos[B.id] - data.xpos[B.bodyid[0]]
 
     def place(distance: float) -> Array:
         return data.geom_xpos[model.geom("A").id] + distance * way + aside
@@ -87,10 +90,10 @@ def touching(first: str, second: str, seed: int, depth: float = 4e-3, aligned: b
     near, far = 0.0, 1.2
     for _ in range(40):
         between = 0.5 * (near + far)
-        data.geom_xpos[model.geom("B").id] = place(between)
+        data.geom_xpos[B.id] = place(between)
         mujoco.mj_collision(model, data)
         near, far = (between, far) if data.ncon else (near, between)
-    return two_geoms(first, second, turned, np.append(place(near - depth), quat), **options)
+    return two_geoms(first, second, turned, np.append(place(near - depth) - shift, quat), **options)
 
 
 TIES = {

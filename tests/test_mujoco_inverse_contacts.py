@@ -22,7 +22,7 @@ WAYS = [
     {
         "one_tree": True,
         "option": "cone=pyramidal integrator=implicit",
-        "contact": 'condim="6" friction="1 .05 .01" solref="-300 -20"',
+        "contact": 'condim="6" friction="1 .05 .01" solref="-2000 -20"',
     },
     {"one_tree": True, "option": "jacobian=sparse", "contact": 'condim="4" friction=".3 .05" solimp=".3 .9 .05 .4 3"'},
 ]
@@ -105,7 +105,7 @@ def test_round_geoms_whose_contacts_mujoco_finds_by_iteration():
 @pytest.mark.parametrize("pair", [("box", "box"), ("box", "mesh"), ("cylinder", "cylinder"), ("plane", "cylinder")])
 def test_geoms_that_lie_on_each_other(pair):
     for way in WAYS[:1] if pair[0] in models.GROUND else WAYS[:3]:
-        assert_exact(models.touching(*pair, 0, aligned=True, **way))
+        assert_exact(models.touching(*pair, 0, aligned=True, **way), tolerance=1e-6)
 
 
 @given(st.sampled_from([p for p in models.PAIRS if not set(p) & {*ROUND, *models.GROUND}]), st.integers(2, 10**6))
@@ -124,7 +124,7 @@ def test_pairs_with_margin_and_gap(pair, detection):
 
 
 def test_margin_and_gap_of_geoms():
-    assert_exact(models.touching("box", "mesh", 0, contact='margin=".01" gap=".005" solimp="0 .9 .05"', depth=1e-3))
+    assert_exact(models.touching("box", "mesh", 0, contact='margin=".01" gap=".005" solimp="0 .9 .05"', depth=2.5e-2))
 
 
 def test_signed_distance_fields():
@@ -139,11 +139,11 @@ def test_equality_constraints(tie):
         ("implicit", "sparse", 'solimp=".9 .95 .001" solref=".01 1"'),
     ):
         xml = models.tied(tie, integrator, jacobian, parameters)
-        assert_exact(xml, tolerance=1e-8, spread=0.2, speed=1.0, widths=(1e-5,))
+        assert_exact(xml, spread=0.2, speed=1.0, widths=(1e-5, 1e-6))
 
 
 @given(st.sampled_from(sorted(models.TIES)), st.floats(0.1, 1.0), st.floats(0.1, 3.0))
 @settings(max_examples=10)
 def test_equality_constraints_far_from_satisfied(tie, spread, speed):
     xml = models.tied(tie, "implicitfast", "dense", 'solimp=".3 .9 1.5"')
-    assert_exact(xml, tolerance=1e-8, N=1, spread=spread, speed=speed, widths=(1e-5,))
+    assert_exact(xml, N=1, spread=spread, speed=speed, widths=(1e-5, 1e-6))
