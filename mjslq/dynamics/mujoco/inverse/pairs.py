@@ -1,7 +1,7 @@
 """How the contacts of two geoms move, by differences in the geoms' relative pose.
 
 What a pair of geoms touch each other with depends on six numbers alone, however many dofs move them. Geom 2 is turned
-about and moved along the world's axes by eps, geom 1 stays, and MuJoCo's own narrow phase for the pair (the function
+about and moved along the world's axes, geom 1 stays, and MuJoCo's own narrow phase for the pair (the function
 that it keeps in mjCOLLISIONFUNC) is asked again, and nothing else: no kinematics, no broad phase, no other pair. The
 result is the table of `geometry`, for all contacts of the pair at once.
 
