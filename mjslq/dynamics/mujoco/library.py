@@ -78,6 +78,11 @@ def library() -> ctypes.CDLL:
     return lib
 
 
+def collision_functions() -> int:
+    """Address of the table of functions (mjfCollision) that tell how two geoms touch, a row for each type of geom."""
+    return ctypes.addressof(ctypes.c_void_p.in_dll(library(), "mjCOLLISIONFUNC"))
+
+
 _quiet_lock = threading.Lock()
 _quiet_depth = 0
 _loud_config: _LogConfig | None = None

@@ -8,8 +8,12 @@ FLUID_SHADOW, FLUID_MASS, FLUID_INERTIA, FLUID_ANGULAR, FLUID_REST, FLUID_NUMBER
 """Columns of fluid_prm for ellipsoids; boxes have six linear and six quadratic coefficients."""
 BAND, STIFFNESS, DAMPING, ARMATURE, TENDON_NUMBERS = 0, 2, 5, 8, 9
 """Columns of ten_prm."""
-OTHER, PLANE, MESH, SPHERE, CAPSULE, BOX = range(6)
-"""Kinds of geoms: a static plane, shapes that contacts have closed forms for, any other."""
+OTHER, PLANE, MESH, SPHERE, CAPSULE, BOX, ELLIPSOID, CYLINDER, FIELD = range(9)
+"""Kinds of geoms: shapes that some contacts have closed forms for, signed distance fields, any other."""
+UNKNOWN, BY_LENGTHS, CONNECT, WELD = range(4)
+"""Kinds of equality constraints: of joints' positions or fixed tendons' lengths, of bodies, any other."""
+TIE_NUMBERS = 15
+"""Columns of tie_prm: place (3) and orientation (4) of the first object in its body, of the second, torquescale."""
 (
     BY_DIFFERENCES, CONSTANT, JOINT_POS, JOINT_VEL, TENDON_POS, TENDON_VEL, ACTUATOR_POS, ACTUATOR_VEL, ACTUATOR_FORCE,
     JOINT_FORCE, TENDON_FORCE, KINETIC_ENERGY, BALL_QUAT, BALL_VEL, FRAME_POS, FRAME_QUAT, FRAME_AXIS, FRAME_VEL,

@@ -13,22 +13,29 @@ By position, for rows whose J is constant (limits of scalar joints and fixed ten
 
     ds = -D (k (imp' (pos - margin) + imp) + dlnD/dpos jar) J dq,     dlnD/dpos = imp' / (imp (1 - imp));
 
-friction of joints and tendons has none. Equality constraints of two joints, q_1 = P(q_2), have J = (1, -P') besides
-the same terms. Contacts with a static plane, among spheres and capsules, and of spheres with
-boxes are in `contacts`. What remains (other pairs of geoms, equality constraints, limits of ball
-joints, limits and friction of spatial tendons) is differenced, in positions alone, and only at knots where such rows
-push: `differences`.
+friction of joints and tendons has none. Where J changes, there are besides - D dJ (a + b v) in ds, and dJ' s:
+
+    equality of two lengths    l_1 = P(l_2), of joints or fixed tendons: J = J_1 - P' J_2, dJ = - P'' J_2 (J_2 dq)'
+    limit of a ball joint      pos = range - t, with t >= 0 the angle and n the axis of its rotation: J = -n',
+                               dn = ([n] + cot(t/2) (1 - n n')) dq / 2
+
+Contacts are in `contacts`, the equality constraints connect and weld in `equalities`. What remains (signed distance
+fields, whose contacts do not depend on the geoms' poses alone, rows of spatial tendons, and under the discrete
+integrator connect and weld) is differenced, in positions alone, and only at knots where such rows push: `differences`.
 """
 
 from __future__ import annotations
 
+import math
+
 from numba import types
 
-from mjslq.dynamics.mujoco.inverse.columns import BOX, CAPSULE, MESH, PLANE, SPHERE
+from mjslq.dynamics.mujoco.inverse.columns import BY_LENGTHS, CONNECT, FIELD, PLANE, UNKNOWN, WELD
 from mjslq.dynamics.mujoco.inverse.contacts import add_contact
+from mjslq.dynamics.mujoco.inverse.equalities import add_tie
 from mjslq.dynamics.mujoco.inverse.impedance import fold_references
 from mjslq.dynamics.mujoco.inverse.job import entry_address, entry_count, flags, integers, matrix, vector
-from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
+from mjslq.dynamics.mujoco.inverse.spatial import add3, compiled, cross3, dot3, inlined, scale3, sub3
 from mjslq.dynamics.mujoco.kernels import _address, _void
 
 _step = _void(_address, _address)
@@ -109,23 +116,13 @@ def is_differenced(job, kind, index):
     """Whether the position derivative of a row is taken by differences; `index` is its efc_id."""
     if kind in (FRICTION_TENDON, LIMIT_TENDON):
         return integers(job.ten_constant, index + 1)[index] == 0
-    if kind == FRICTION_DOF:
-        return False
-    if kind == LIMIT_JOINT:
-        return integers(job.jnt_scalar, index + 1)[index] == 0
     if kind == EQUALITY:
-        return integers(job.eq_joint, index + 1)[index] == 0
-    geom_kind = integers(job.geom_kind, job.ngeom)
+        return integers(job.eq_kind, job.neq)[index] == UNKNOWN
+    if kind < FRICTIONLESS:
+        return False
     contact = entry_address(job.data + job.at_contact) + index * job.at_contact_size
-    geoms = flags(contact + job.at_contact_geom, 2)
-    first, second = geom_kind[geoms[0]], geom_kind[geoms[1]]
-    if first == PLANE:
-        return second not in (SPHERE, CAPSULE, BOX, MESH)
-    if first == SPHERE and second == BOX:
-        # a centre that lies on the box's surface has no normal
-        outside = vector(contact + job.at_contact_dist, 1)[0] + vector(job.geom_radius, job.ngeom)[geoms[0]]
-        return abs(outside) < 1e-6
-    return not (first in (SPHERE, CAPSULE) and second in (SPHERE, CAPSULE))
+    geoms, geom_kind = flags(contact + job.at_contact_geom, 2), integers(job.geom_kind, job.ngeom)
+    return geom_kind[geoms[1]] == FIELD and geom_kind[geoms[0]] != PLANE
 
 
 @compiled
@@ -154,21 +151,28 @@ def add_rows(job, acc, F, G):
         elif states[r] == QUADRATIC:
             k, b, imp, slope = KBIP[r, 0], KBIP[r, 1], KBIP[r, 2], KBIP[r, 3]
             stiffness = 0.0
-            differenced = is_differenced(job, kind, ids[r])
-            if kind in (LIMIT_JOINT, LIMIT_TENDON, EQUALITY) and not differenced:
+            tied = kind == EQUALITY and integers(job.eq_kind, job.neq)[ids[r]] in (CONNECT, WELD)
+            if kind in (LIMIT_JOINT, LIMIT_TENDON, EQUALITY) and not tied and not is_differenced(job, kind, ids[r]):
                 stiffness = k * (slope * (pos[r] - margin[r]) + imp) + slope / (imp * (1.0 - imp)) * jar[r]
             size = read_row(job, r, dofs, values)
-            b = 0.0 if kind == EQUALITY and differenced else b  # by differences, together with that of dJ/dt v
-            by_pos = D[r] * stiffness
+            # what follows the velocity through dJ/dt too has that derivative elsewhere
+            turns = tied or (kind == EQUALITY and job.implicit == 3 and is_differenced(job, kind, ids[r]))
+            by_pos, by_vel = D[r] * stiffness, 0.0 if turns else D[r] * b
             for x in range(size):
-                i, c = dofs[x], D[r] * values[x]
+                i = dofs[x]
                 for y in range(size):
-                    j = dofs[y]
-                    G[i, j] += c * values[y]
-                    F[i, nv + j] -= b * c * values[y]
-                    F[i, j] -= by_pos * values[x] * values[y]
-            if kind == EQUALITY and not differenced:
+                    j, square = dofs[y], values[x] * values[y]
+                    G[i, j] += D[r] * square
+                    F[i, nv + j] -= by_vel * square
+                    F[i, j] -= by_pos * square
+            if tied and (r == 0 or kinds[r - 1] != EQUALITY or ids[r - 1] != ids[r]):
+                add_tie(job, r, ids[r], F)
+            elif kind == EQUALITY and integers(job.eq_kind, job.neq)[ids[r]] == BY_LENGTHS:
                 _add_curvature(job, ids[r], D[r], b, jar[r], acc, dofs[:size], values, F)
+            elif kind == LIMIT_JOINT and integers(job.dof_qadr, nv)[dofs[0]] < 0:
+                _add_turning_axis(
+                    job, integers(job.dof_group, nv)[dofs[0]], D[r], b, jar[r], acc, dofs[:size], values, F
+                )
         pushes = states[r] != SATISFIED
         rest = rest or (pushes and is_differenced(job, kind, ids[r]))
         if kind >= FRICTIONLESS:
@@ -185,22 +189,60 @@ def add_rows(job, acc, F, G):
 
 @compiled
 def _add_curvature(job, index, D, b, jar, acc, dofs, values, F):
-    """F += the part that the change of J = (1, -P'(x)) has, of a joint equality constraint with a polynomial P of x."""
-    dof = integers(job.eq_dof, job.neq)[index]
-    if dof < 0:
-        return
-    bend = bend_of_joint(job, index, dof)
-    change = bend * (acc[dof] + b * vector(job.qvel, job.nv)[dof])
-    for k in range(dofs.shape[0]):
-        F[dofs[k], dof] -= D * values[k] * change
-    F[dof, dof] -= bend * D * jar
+    """F += the part that the change of J has, of an equality constraint with a polynomial P of a second length."""
+    first = integers(job.eq_first, job.neq + 1)
+    second, coef = integers(job.eq_dof, job.neq_coef), vector(job.eq_coef, job.neq_coef)
+    qvel, rate = vector(job.qvel, job.nv), 0.0
+    for m in range(first[index], first[index + 1]):
+        rate += coef[m] * (acc[second[m]] + b * qvel[second[m]])
+    bend = bend_of_length(job, index)
+    for m in range(first[index], first[index + 1]):
+        for k in range(dofs.shape[0]):
+            F[dofs[k], second[m]] -= D * values[k] * bend * rate * coef[m]
+        for k in range(first[index], first[index + 1]):
+            F[second[k], second[m]] -= bend * D * jar * coef[k] * coef[m]
+
+
+@compiled
+def _add_turning_axis(job, group, D, b, jar, acc, dofs, values, F):
+    """F += the part that the change of J = -n' has, of the limit of a ball joint whose dofs start at `group`."""
+    qvel = vector(job.qvel, job.nv)
+    x = (
+        acc[group] + b * qvel[group],
+        acc[group + 1] + b * qvel[group + 1],
+        acc[group + 2] + b * qvel[group + 2],
+    )
+    for c in range(3):
+        dn = axis_turning(job, group, c)
+        change = D * dot3(dn, x)
+        for k in range(dofs.shape[0]):
+            F[dofs[k], group + c] += values[k] * change
+        for k in range(3):
+            F[group + k, group + c] += D * jar * dn[k]
 
 
 @inlined
-def bend_of_joint(job, index, dof):
-    """Return -P''(x) of a joint equality constraint."""
+def axis_turning(job, group, c):
+    """Change of the axis n of a ball joint's rotation with dof c of its three, which start at `group`."""
+    qpos, at = vector(job.qpos, job.nq), -2 - integers(job.dof_qadr, job.nv)[group]
+    sine = math.sqrt(qpos[at + 1] ** 2 + qpos[at + 2] ** 2 + qpos[at + 3] ** 2)
+    sign = 1.0 if qpos[at] >= 0.0 else -1.0
+    n = (sign * qpos[at + 1] / sine, sign * qpos[at + 2] / sine, sign * qpos[at + 3] / sine)
+    way = (1.0 if c == 0 else 0.0, 1.0 if c == 1 else 0.0, 1.0 if c == 2 else 0.0)
+    across = sub3(way, scale3(dot3(n, way), n))
+    return scale3(0.5, add3(cross3(n, way), scale3(sign * qpos[at] / sine, across)))
+
+
+@inlined
+def bend_of_length(job, index):
+    """Return -P''(x) of the polynomial P of an equality constraint, at its second length x."""
+    first = integers(job.eq_first, job.neq + 1)
+    second, coef = integers(job.eq_dof, job.neq_coef), vector(job.eq_coef, job.neq_coef)
+    qpos, at = vector(job.qpos, job.nq), integers(job.dof_qadr, job.nv)
     prm = matrix(job.eq_prm, job.neq, 6)[index]
-    x = vector(job.qpos, job.nq)[integers(job.dof_qadr, job.nv)[dof]] - prm[5]
+    x = -prm[5]
+    for m in range(first[index], first[index + 1]):
+        x += coef[m] * qpos[at[second[m]]]
     return -(2.0 * prm[2] + x * (6.0 * prm[3] + x * 12.0 * prm[4]))
 
 

@@ -1,7 +1,8 @@
-"""Position derivative of the forces of one contact, in closed form: planes, spheres, capsules, boxes.
+"""Position derivative of the forces of one contact, in closed form but for the motion of its features.
 
 Body 2 is the one that the normal n points to, body 1 the other (the plane's, which may not move). How the contact's
-point p, its distance and its frame move with dof i, (dp_i, ddist_i, phi_i), is geometry: `geometry`.
+point p, its distance and its frame move with dof i, (dp_i, ddist_i, phi_i), is geometry: `geometry`, and `pairs` for
+pairs of geoms that meet in more than a point or without a formula.
 The rest holds for any pair. A row's direction E = (couple, force) measures couple . w + force . (velocity at p) of body
 2 less that of body 1, and with V = sum S_j x_j of a body, V_i the same before i's group,
 
@@ -11,13 +12,9 @@ needed for x = a and x = v. With jar and the factor D of the rows (imp = KBIP[2]
 
     djar = d(J a) + b d(J v) + k (imp' (pos - margin) + imp) ddist,      ds = -H djar + imp' / (imp (1 - imp)) ddist s.
 
-The contact's wrench W on body 2, taken about the centre of mass of a tree, changes by dW_i with ds, dp and phi, and the
-generalized force S_j . W of a dof j that moves body 2 changes by
-
-    S_j . dW_i for j before i's group, or not beyond i at all,      S_j . (dW_i - S_i x* W) for the others;
-
-for dofs that move body 1 the same with the other sign. The idea of freezing the contact's features is that of the open
-pull request google-deepmind/mujoco_warp#1535.
+The contact's wrench W on body 2 changes with ds, dp and phi, and what that does to all generalized forces is in
+`wrenches`. The idea of freezing the contact's features is that of the open pull request
+google-deepmind/mujoco_warp#1535.
 """
 
 from __future__ import annotations
@@ -29,7 +26,6 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     add6,
     compiled,
     cross3,
-    cross_force,
     cross_motion,
     dot6,
     head,
@@ -44,6 +40,7 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     tail,
     velocity_at,
 )  # fmt: skip
+from mjslq.dynamics.mujoco.inverse.wrenches import add_force_change, from_center, mark_members
 
 _PYRAMIDAL, _ELLIPTIC = 6, 7
 _QUADRATIC, _CONE = 1, 4
@@ -59,45 +56,33 @@ def add_contact(job, r, count, kind, contact, acc, F):
         return
     geoms = flags(contact + job.at_contact_geom, 2)
     body = integers(job.geom_bodyid, job.ngeom)
+    bodies = (body[geoms[0]], body[geoms[1]])
     size = _directions(job, contact, kind, count)
     W = _wrench(job, r, size)
-    V_a = _velocities(job, body[geoms[0]], body[geoms[1]], acc, matrix(job.before_a, job.nv, 6))
-    V_v = _velocities(job, body[geoms[0]], body[geoms[1]], vector(job.qvel, job.nv), matrix(job.before_v, job.nv, 6))
-    points = _points(job, contact, body[geoms[0]], body[geoms[1]])
+    V_a = _velocities(job, bodies[0], bodies[1], acc, matrix(job.before_a, job.nv, 6))
+    V_v = _velocities(job, bodies[0], bodies[1], vector(job.qvel, job.nv), matrix(job.before_v, job.nv, 6))
+    points = _points(job, contact, bodies[0], bodies[1])
     parent, member = integers(job.dof_parentid, job.nv), integers(job.member, job.nv)
     lastdof = integers(job.body_lastdof, job.nbody)
     for side in range(2):
-        i = lastdof[body[geoms[side]]]
+        i = lastdof[bodies[side]]
         while i >= 0:
             # a dof that moves both bodies comes up twice: it is dealt with on the second side
             if side == 1 or member[i] == 1:
-                _add_dof(job, r, size, kind, contact, i, member[i], V_a, V_v, points, W, F)
+                _add_dof(job, r, size, kind, contact, i, member[i], V_a, V_v, bodies, points, W, F)
             i = parent[i]
 
 
 @compiled
-def _add_dof(job, r, size, kind, contact, i, sides, V_a, V_v, points, W, F):
+def _add_dof(job, r, size, kind, contact, i, sides, V_a, V_v, bodies, points, W, F):
     """Change of all generalized forces with dof i, which moves body 1 (sides 1), body 2 (sides 2) or both (sides 3)."""
-    geoms = flags(contact + job.at_contact_geom, 2)
     S = row6(matrix(job.cdof, job.nv, 6), i)
     dp, ddist, phi = contact_motion(job, contact, S, sides)
     by_a = _rate(S, row6(matrix(job.before_a, job.nv, 6), i), V_a, sides, points, dp, phi)
     by_v = _rate(S, row6(matrix(job.before_v, job.nv, 6), i), V_v, sides, points, dp, phi)
     push = _force_change(job, r, size, kind, contact, by_a, by_v, ddist)
-    force = add3(tail(push), cross3(phi, tail(W)))
-    couple = add3(add3(head(push), cross3(phi, head(W))), cross3(dp, tail(W)))
-    body, lastdof = integers(job.geom_bodyid, job.ngeom), integers(job.body_lastdof, job.nbody)
-    parent, group = integers(job.dof_parentid, job.nv), integers(job.dof_group, job.nv)
-    cdof = matrix(job.cdof, job.nv, 6)
-    for side in range(2):
-        x, sign = points[side], 2.0 * side - 1.0
-        change = join(add3(couple, cross3(x, force)), force)
-        turned = sub6(change, cross_force(S, join(add3(head(W), cross3(x, tail(W))), tail(W))))
-        beyond = group[i] if sides & (side + 1) else job.nv
-        j = lastdof[body[geoms[side]]]
-        while j >= 0:
-            F[j, i] += sign * dot6(row6(cdof, j), turned if group[j] >= beyond else change)
-            j = parent[j]
+    change = add6(push, join(cross3(phi, head(W)), cross3(phi, tail(W))))
+    add_force_change(job, i, i, sides, bodies, points, W, change, (dp, dp), F)
 
 
 @compiled
@@ -152,21 +137,18 @@ def _directions(job, contact, kind, count):
 @compiled
 def _velocities(job, first, second, x, before):
     """V = sum S_j x_j of both bodies; V before each dof's group into `before`, who moves whom into job.member."""
-    member = integers(job.member, job.nv)
-    for i in range(job.nv):
-        member[i] = 0
-    return _chain_velocity(job, first, 1, x, before), _chain_velocity(job, second, 2, x, before)
+    mark_members(job, (first, second))
+    return _chain_velocity(job, first, x, before), _chain_velocity(job, second, x, before)
 
 
 @compiled
-def _chain_velocity(job, body, mark, x, before):
+def _chain_velocity(job, body, x, before):
     chain, group, cdof = integers(job.chain, job.nv), integers(job.dof_group, job.nv), matrix(job.cdof, job.nv, 6)
-    parent, member = integers(job.dof_parentid, job.nv), integers(job.member, job.nv)
+    parent = integers(job.dof_parentid, job.nv)
     size, i = 0, integers(job.body_lastdof, job.nbody)[body]
     while i >= 0:
         chain[size] = i
         size += 1
-        member[i] |= mark
         i = parent[i]
     V = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     start, last = V, -1
@@ -182,9 +164,9 @@ def _chain_velocity(job, body, mark, x, before):
 @inlined
 def _points(job, contact, first, second):
     """The contact's point relative to the centre of mass of either body's tree."""
-    point, com = vector(contact + job.at_contact_pos, 3), matrix(job.subtree_com, job.nbody, 3)
-    root, p = integers(job.body_rootid, job.nbody), (point[0], point[1], point[2])
-    return sub3(p, row3(com, root[first])), sub3(p, row3(com, root[second]))
+    point = vector(contact + job.at_contact_pos, 3)
+    p = (point[0], point[1], point[2])
+    return from_center(job, first, p), from_center(job, second, p)
 
 
 @inlined

@@ -16,6 +16,7 @@ from mjslq.dynamics.mujoco.inverse.fluid_plan import in_fluid
 from mjslq.dynamics.mujoco.inverse.outputs import TYPES, sensors
 from mjslq.dynamics.mujoco.inverse.plan import (
     EQ,
+    GEOM,
     INT,
     OFF,
     ON,
@@ -34,6 +35,7 @@ from mjslq.dynamics.mujoco.inverse.remainder import AFFINE_BIASES, AFFINE_GAINS,
 _OWN = "differences of their own forces"
 _ARMS = "analytic along moment arms that are differenced"
 _POSITIONS = "by position differences of positions alone"
+_POSES = "but for how the contact itself moves: differences in the six relative motions of its geoms"
 
 
 def choose_jacobian(model: mujoco.MjModel, wanted: str) -> str:
@@ -49,16 +51,19 @@ def choose_jacobian(model: mujoco.MjModel, wanted: str) -> str:
 def describe(model: mujoco.MjModel) -> list[tuple[str, str]]:
     """What serves the sensors and the constraints of a covered model, as (part, what serves it)."""
     rows = _forces(model) + _describe_sensors(model)
-    on_joints = int((model.eq_type == EQ.mjEQ_JOINT).sum())
-    if on_joints:
-        rows.append((f"{on_joints} equality constraints of joints", "analytic"))
-    if model.neq > on_joints:
-        rows.append((f"{model.neq - on_joints} other equality constraints", f"analytic by control; {_POSITIONS}"))
+    if model.neq:
+        rows.append((f"{model.neq} equality constraints", _served_equalities(model)))
     if has_contacts(model):
-        rows.append(("contacts of spheres, capsules, boxes, meshes with static planes", "analytic"))
-        rows.append(("contacts among spheres and capsules, of spheres with boxes", "analytic"))
-        rows.append(("other contacts", f"analytic by velocity and control; {_POSITIONS}"))
+        rows.append(("contacts that planes and spheres make, capsules with capsules", "analytic"))
+        rows.append(("other contacts", f"analytic, {_POSES}"))
+        if (model.geom_type == GEOM.mjGEOM_SDF).any():
+            rows.append(("contacts of signed distance fields", f"analytic by velocity and control; {_POSITIONS}"))
     return rows
+
+
+def _served_equalities(model: mujoco.MjModel) -> str:
+    on_bodies = np.isin(model.eq_type, [EQ.mjEQ_CONNECT, EQ.mjEQ_WELD]).any()
+    return f"analytic; connect and weld {_POSITIONS}" if on_bodies and implicit_level(model) == 3 else "analytic"
 
 
 def _forces(model: mujoco.MjModel) -> list[tuple[str, str]]:

@@ -1,11 +1,8 @@
 """Position derivatives of constraint forces for which there is no closed form here, by differences of positions alone.
 
 At fixed velocity and acceleration the forces J' s of the rows in question are a function of the pose, which costs the
-kinematics, the collisions and the rows themselves to evaluate; no dynamics and no solver. Only dofs that move something
-that such rows hold on to are varied: of contacts the chains of both bodies, of other rows the trees that they touch.
-
-Equality constraints other than those of joints have dJ/dt v in their aref, a quadratic form in v, whose derivative by v
-is the difference of its values one unit to either side: exact but for rounding.
+kinematics, the collisions and the rows themselves to evaluate; no dynamics and no solver. Only dofs of the trees that
+such rows touch are varied.
 """
 
 from __future__ import annotations
@@ -14,7 +11,6 @@ from numba import types
 
 from mjslq.dynamics.mujoco.inverse.constraints import (
     EQUALITY,
-    FRICTIONLESS,
     SATISFIED,
     evaluate_rows,
     find_rows,
@@ -60,7 +56,7 @@ def add_differences(job, x, acc, F):
         for j in range(job.nv):
             F[j, i] += (plus[j] - minus[j]) / apart
     _evaluate_pose(job, x, way, 0.0, acc)
-    if job.bodies_tied:
+    if job.bodies_tied and job.implicit == 3:
         _add_velocity_differences(job, marked, plus, minus, F)
 
 
@@ -138,23 +134,13 @@ def _mark(job, marked):
     ids = flags(entry_address(job.data + job.at_efc_id), rows)
     states = flags(entry_address(job.data + job.at_efc_state), rows)
     dofs, values = integers(job.dofs, job.nv), vector(job.values, job.nv)
-    parent, tree = integers(job.dof_parentid, job.nv), integers(job.dof_treeid, job.nv)
-    lastdof, geom_body = integers(job.body_lastdof, job.nbody), integers(job.geom_bodyid, job.ngeom)
+    tree = integers(job.dof_treeid, job.nv)
     for i in range(job.nv):
         marked[i] = 0
     for r in range(rows):
         if states[r] == SATISFIED or not is_differenced(job, kinds[r], ids[r]):
             continue
-        if kinds[r] >= FRICTIONLESS:
-            contact = entry_address(job.data + job.at_contact) + ids[r] * job.at_contact_size
-            geoms = flags(contact + job.at_contact_geom, 2)
-            for side in range(2):
-                i = lastdof[geom_body[geoms[side]]]
-                while i >= 0:
+        for k in range(read_row(job, r, dofs, values)):
+            for i in range(job.nv):
+                if tree[i] == tree[dofs[k]]:
                     marked[i] = 1
-                    i = parent[i]
-        else:
-            for k in range(read_row(job, r, dofs, values)):
-                for i in range(job.nv):
-                    if tree[i] == tree[dofs[k]]:
-                        marked[i] = 1

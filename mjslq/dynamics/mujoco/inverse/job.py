@@ -31,36 +31,35 @@ from mjslq.dynamics.mujoco.kernels import _pointer
 SIZES = (
     "N", "first", "last", "nq", "nv", "na", "nu", "ny", "columns", "nbody", "ngeom", "nsite", "nspring", "nball",
     "ntendon", "nten_coef", "nact_coef", "nquat", "implicit", "gyroscopic", "compensated", "constrained", "neq",
-    "bodies_tied",
-    "nsensor", "sensors_differenced", "sensors_accelerated", "sensors_on_rows", "sensors_of_energy", "sensors_cut",
-    "sensors_of_bodies", "sensors_of_actuators", "sparse", "centered", "coupled", "bends", "refsafe",
-    "nrest_q", "nrest_v", "nrest_act", "nrest_u", "nrest_next", "rest_passive", "rest_acts", "rest_poses",
-    "nfluid", "narm", "narm_dof", "narm_square", "narm_q", "arms_act", "npiece",
-    "rest_touches", "nout", "nD", "symmetric",
+    "bodies_tied", "neq_coef", "npair", "geom_types", "collision_functions", "nsensor", "sensors_differenced",
+    "sensors_accelerated", "sensors_on_rows", "sensors_of_energy", "sensors_cut", "sensors_of_bodies",
+    "sensors_of_actuators", "sparse", "centered", "coupled", "bends", "refsafe", "nrest_q", "nrest_v", "nrest_act",
+    "nrest_u", "nrest_next", "rest_passive", "rest_acts", "rest_poses", "nfluid", "narm", "narm_dof", "narm_square",
+    "narm_q", "arms_act", "npiece", "rest_touches", "nout", "nD", "symmetric",
 )  # fmt: skip
 OBJECTS = ("model", "row_model", "rest_model", "data", "ten_J_rownnz", "ten_J_rowadr", "ten_J_colind")
 INTEGERS = (
     "body_parentid", "body_rootid", "body_dofadr", "body_dofnum", "body_lastdof", "dof_bodyid", "dof_parentid",
     "dof_group", "dof_groupend", "dof_qadr", "dof_gyroscopic", "spring_dof", "spring_qadr", "ball_dof", "ball_qadr",
     "ten_first", "ten_dof", "act_first", "act_dof", "act_adr", "act_dynamics", "act_early", "act_enabled", "act_site",
-    "act_body", "quat_dof", "geom_bodyid", "geom_kind", "dof_treeid", "jnt_scalar",
-    "sen_kind", "sen_adr", "sen_dim", "sen_stage", "sen_target", "sen_body", "sen_reference", "sen_sides", "sen_fields",
-    "sen_reduction", "act_tendon", "site_type", "eq_joint", "eq_dof",
-    "rest_q", "rest_v", "rest_act", "rest_u", "rest_next", "D_rownnz", "D_rowadr", "D_colind", "ten_constant",
-    "arm_q", "arm_tendon", "arm_out", "arm_row", "act_arm", "arm_first", "arm_dof", "arm_at", "arm_branch",
-    "fluid_body", "fluid_geom", "arm_straight", "piece_arm", "piece_from", "piece_to", "site_bodyid",
+    "act_body", "quat_dof", "geom_bodyid", "geom_kind", "dof_treeid", "geom_type", "pair_geoms", "sen_kind",
+    "sen_adr", "sen_dim", "sen_stage", "sen_target", "sen_body", "sen_reference", "sen_sides", "sen_fields",
+    "sen_reduction", "act_tendon", "site_type", "eq_kind", "eq_body", "eq_first", "eq_dof", "rest_q", "rest_v",
+    "rest_act", "rest_u", "rest_next", "D_rownnz", "D_rowadr", "D_colind", "ten_constant", "arm_q", "arm_tendon",
+    "arm_out", "arm_row", "act_arm", "arm_first", "arm_dof", "arm_at", "arm_branch", "fluid_body", "fluid_geom",
+    "arm_straight", "piece_arm", "piece_from", "piece_to", "site_bodyid",
 )  # fmt: skip
 NUMBERS = (
-    "dof_armature", "dof_damping", "dof_force_range", "body_gravcomp", "spring_prm", "ball_prm", "ten_coef", "ten_prm",
-    "act_coef", "act_prm", "act_gear", "gravity", "geom_radius", "geom_size", "sen_prm", "eq_prm", "body_subtreemass",
-    "jnt_solref", "ten_solref", "sen_range", "site_size", "magnetic",
-    "act_muscle", "ctrl_range", "fluid_prm", "wind", "arm_prm", "piece_share",
+    "dof_armature", "dof_damping", "dof_force_range", "body_gravcomp", "spring_prm", "ball_prm", "ten_coef",
+    "ten_prm", "act_coef", "act_prm", "act_gear", "gravity", "geom_size", "geom_gap", "pair_gap", "eq_coef",
+    "tie_prm", "sen_prm", "eq_prm", "body_subtreemass", "jnt_solref", "ten_solref", "sen_range", "site_size",
+    "magnetic", "act_muscle", "ctrl_range", "fluid_prm", "wind", "arm_prm", "piece_share",
 )  # fmt: skip
 VIEWS = (
     "qpos", "qvel", "act", "ctrl", "qacc", "cdof", "cinert", "subtree_com", "site_xpos", "site_xmat", "geom_xpos",
     "geom_xmat", "qacc_warmstart", "xpos", "xquat", "ten_J", "ten_velocity", "actuator_moment", "moment_rownnz",
-    "moment_rowadr", "moment_colind", "actuator_velocity", "qfrc_passive", "qfrc_actuator", "qDeriv", "xipos", "ximat",
-    "ten_length", "actuator_length", "sensordata",
+    "moment_rowadr", "moment_colind", "actuator_velocity", "qfrc_passive", "qfrc_actuator", "qDeriv", "xipos",
+    "ximat", "ten_length", "actuator_length", "sensordata",
 )  # fmt: skip
 WORK: dict[str, tuple[int | str, int | str]] = {
     "body_vel": ("nbody", 6), "body_acc": ("nbody", 6), "body_momentum": ("nbody", 6), "body_force": ("nbody", 6),
@@ -79,6 +78,7 @@ WORK: dict[str, tuple[int | str, int | str]] = {
     "fluid_K": ("nbody", 36), "fluid_hat": ("nbody", 36), "fluid_bend": ("nbody", 36), "fluid_W": ("nbody", 6),
     "fluid_U": ("nbody", 6), "fluid_X": (6, 6), "fluid_B": (18, 6), "fluid_local": (4, 6), "fluid_complex": (16, 6),
     "acc_rate": ("nv", "columns"), "lever": ("nv", 3), "covectors": (3, 18), "reading": ("ny", 1), "middle": ("ny", 1),
+    "tables": (306, 7), "tabulated": (2, 6), "found": (100, 10),
 }  # fmt: skip
 """Shapes of the arrays for intermediate results."""
 INDICES = ("dofs", "chain", "marked", "member", "spinning")

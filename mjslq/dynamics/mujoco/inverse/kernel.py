@@ -296,11 +296,11 @@ def _differentiate_acceleration(job, x):
         _add(F, matrix(job.E, job.nv, job.columns))
         present_rows(job)
         add_weight_changes(job, F)
-    if add_rows(job, acc_c, F, G):
-        add_differences(job, x, acc_c, F)
     outward(job, vector(job.qvel, job.nv), acc_c)
     inward(job)
     subtract_derivatives(job, F, matrix(job.T, job.nv, job.nv))
+    if add_rows(job, acc_c, F, G):
+        add_differences(job, x, acc_c, F)
     fine = factorize(G)
     solve(G, F)
     if job.sensors_accelerated:

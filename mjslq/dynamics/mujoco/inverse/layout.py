@@ -19,7 +19,7 @@ ARENA = (
     "efc_J", "efc_pos", "efc_margin", "efc_KBIP", "efc_D", "efc_R", "efc_force", "efc_aref", "efc_vel",
 )  # fmt: skip
 COUNTS = ("ncon", "nefc")
-CONTACT = ("dist", "pos", "frame", "friction", "H", "dim", "geom", "efc_address", "solref")
+CONTACT = ("dist", "pos", "frame", "includemargin", "friction", "H", "dim", "geom", "efc_address", "solref")
 
 _VALUES = {
     "int": ctypes.c_int,

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from mjslq.dynamics.mujoco.inverse import columns
+from mjslq.dynamics.mujoco.library import collision_functions
 
 
 def whole(kind: Any) -> SimpleNamespace:
@@ -155,34 +156,63 @@ def _ranges(limited: Any, given: Any) -> Any:
     return np.where(np.asarray(limited, bool)[:, None], given, [-_LARGE, _LARGE])
 
 
+_SHAPES = {
+    GEOM.mjGEOM_MESH: columns.MESH, GEOM.mjGEOM_BOX: columns.BOX, GEOM.mjGEOM_SPHERE: columns.SPHERE,
+    GEOM.mjGEOM_CAPSULE: columns.CAPSULE, GEOM.mjGEOM_ELLIPSOID: columns.ELLIPSOID,
+    GEOM.mjGEOM_CYLINDER: columns.CYLINDER, GEOM.mjGEOM_PLANE: columns.PLANE, GEOM.mjGEOM_SDF: columns.FIELD,
+}  # fmt: skip
+
+
 def _geoms(model: mujoco.MjModel) -> dict[str, Any]:
-    """Kinds of geoms as `contacts` tells them apart, and radii and sizes."""
-    types, static = model.geom_type, model.body_weldid[model.geom_bodyid] == 0
-    kind = np.zeros(model.ngeom, np.int64)
-    kind[types == GEOM.mjGEOM_MESH] = columns.MESH
-    kind[types == GEOM.mjGEOM_BOX] = columns.BOX
-    kind[types == GEOM.mjGEOM_SPHERE] = columns.SPHERE
-    kind[types == GEOM.mjGEOM_CAPSULE] = columns.CAPSULE
-    kind[(types == GEOM.mjGEOM_PLANE) & static] = columns.PLANE
-    round_ = np.isin(types, [GEOM.mjGEOM_SPHERE, GEOM.mjGEOM_CAPSULE])
+    """Kinds of geoms as `contacts` tells them apart, their sizes, and what the narrow phase wants to know."""
     return {
-        "geom_kind": kind, "geom_radius": np.where(round_, model.geom_size[:, 0], 0.0),
-        "geom_size": model.geom_size,
-        "geom_bodyid": model.geom_bodyid, "jnt_scalar": np.isin(model.jnt_type, SCALAR),
+        "geom_kind": np.array([_SHAPES.get(int(t), columns.OTHER) for t in model.geom_type], np.int64),
+        "geom_type": model.geom_type, "geom_size": model.geom_size, "geom_bodyid": model.geom_bodyid,
+        "geom_gap": model.geom_gap, "npair": model.npair, "pair_gap": model.pair_gap,
+        "pair_geoms": np.column_stack([model.pair_geom1, model.pair_geom2]),
+        "geom_types": GEOM.mjGEOM_SDF + 1, "collision_functions": collision_functions(),
     }  # fmt: skip
 
 
 def _equalities(model: mujoco.MjModel) -> dict[str, Any]:
-    """Equality constraints of joints: second dof (-1: none), polynomial and rest position of its joint."""
-    on_joints = model.eq_type == EQ.mjEQ_JOINT
-    second = np.where(on_joints, model.eq_obj2id, -1)
-    joints = np.maximum(second, 0)
-    rest = model.qpos0[model.jnt_qposadr[joints]] if model.neq else np.zeros(0)
+    """Equality constraints: their kinds; the second length with polynomial and rest; bodies and places in them."""
+    kind = np.zeros(model.neq, np.int64)
+    paths, rest, bodies = [], np.zeros(model.neq), np.zeros((model.neq, 2), np.int64)
+    places = np.zeros((model.neq, columns.TIE_NUMBERS))
+    for e, (what, *objects) in enumerate(zip(model.eq_type, model.eq_obj1id, model.eq_obj2id, strict=True)):
+        path = _no_path()
+        if what in (EQ.mjEQ_CONNECT, EQ.mjEQ_WELD):
+            kind[e] = columns.WELD if what == EQ.mjEQ_WELD else columns.CONNECT
+            bodies[e], places[e] = _places(model, e)
+        elif what == EQ.mjEQ_JOINT:
+            kind[e] = columns.BY_LENGTHS
+            if objects[1] >= 0:
+                path = model.jnt_dofadr[objects[1:]], np.ones(1)
+                rest[e] = model.qpos0[model.jnt_qposadr[objects[1]]]
+        elif what == EQ.mjEQ_TENDON and all(len(tendon_dofs(model, t)[0]) for t in objects if t >= 0):
+            kind[e] = columns.BY_LENGTHS
+            if objects[1] >= 0:
+                path, rest[e] = tendon_dofs(model, objects[1]), model.tendon_length0[objects[1]]
+        paths.append(path)
+    tied = np.isin(kind, [columns.CONNECT, columns.WELD])
+    if implicit_level(model) == 3:  # whose references fold dJ/dt v differently
+        kind[tied] = columns.UNKNOWN
     return {
-        "neq": model.neq, "bodies_tied": int((~on_joints).any()), "eq_joint": on_joints,
-        "eq_dof": np.where(second >= 0, model.jnt_dofadr[joints], -1),
+        "neq": model.neq, "bodies_tied": int(tied.any()), "eq_kind": kind, "eq_body": bodies, "tie_prm": places,
         "eq_prm": np.column_stack([model.eq_data[:, :5], rest]),
-    }  # fmt: skip
+    } | _lists("eq", paths)  # fmt: skip
+
+
+def _places(model: mujoco.MjModel, e: int) -> tuple[Any, Any]:
+    """Bodies that a connect or weld constraint holds on to, and its columns of tie_prm."""
+    objects, data = [model.eq_obj1id[e], model.eq_obj2id[e]], model.eq_data[e]
+    here = np.array([1.0, 0.0, 0.0, 0.0])
+    if model.eq_objtype[e] == int(mujoco.mjtObj.mjOBJ_SITE):
+        places = [np.append(model.site_pos[s], model.site_quat[s]) for s in objects]
+        return model.site_bodyid[objects], np.concatenate([*places, data[10:11]])
+    if model.eq_type[e] == EQ.mjEQ_WELD:
+        return objects, np.concatenate([data[3:6], data[6:10], data[:3], here, data[10:11]])
+    return objects, np.concatenate([data[:3], here, data[3:6], here, [0.0]])
 
 
 def can_be_constrained(model: mujoco.MjModel) -> bool:
@@ -230,11 +260,15 @@ def _springs(model: mujoco.MjModel) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _no_path() -> tuple[Any, Any]:
+    return np.zeros(0, np.int64), np.zeros(0)
+
+
 def tendon_dofs(model: mujoco.MjModel, t: int) -> tuple[Any, Any]:
     """Dofs and coefficients of a fixed tendon; empty for a spatial one."""
     path = slice(model.tendon_adr[t], model.tendon_adr[t] + model.tendon_num[t])
     if model.wrap_type[path][0] != WRAP.mjWRAP_JOINT:
-        return np.zeros(0, np.int64), np.zeros(0)
+        return _no_path()
     return model.jnt_dofadr[model.wrap_objid[path]], model.wrap_prm[path]
 
 

@@ -27,9 +27,11 @@ from mjslq.dynamics.mujoco.inverse.constraints import (
     CONE,
     EQUALITY,
     FRICTIONLESS,
+    LIMIT_JOINT,
     PYRAMIDAL,
     QUADRATIC,
-    bend_of_joint,
+    axis_turning,
+    bend_of_length,
     is_differenced,
     read_row,
 )
@@ -176,6 +178,21 @@ def _write_change(job, r, count, kind, index, change):
         contact = entry_address(job.data + job.at_contact) + index * job.at_contact_size
         add_row_change(job, count, kind, contact, x, change)
     elif kind == EQUALITY:
-        dof = integers(job.eq_dof, job.neq)[index]
-        if dof >= 0:
-            change[dof] += bend_of_joint(job, index, dof) * x[dof]
+        _add_bend(job, index, x, change)
+    elif kind == LIMIT_JOINT and integers(job.dof_qadr, job.nv)[dofs[0]] < 0:
+        group = integers(job.dof_group, job.nv)[dofs[0]]
+        for c in range(3):
+            dn = axis_turning(job, group, c)
+            for k in range(3):
+                change[group + c] -= dn[k] * x[group + k]
+
+
+@inlined
+def _add_bend(job, index, x, change):
+    """Change of the second length's part of J, of an equality constraint of two lengths."""
+    first = integers(job.eq_first, job.neq + 1)
+    second, coef = integers(job.eq_dof, job.neq_coef), vector(job.eq_coef, job.neq_coef)
+    bend = bend_of_length(job, index)
+    for m in range(first[index], first[index + 1]):
+        for k in range(first[index], first[index + 1]):
+            change[second[m]] += bend * coef[m] * coef[k] * x[second[k]]
