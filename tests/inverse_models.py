@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-INTEGRATORS = ("Euler", "implicitfast", "implicit", "discrete")
+CONTINUOUS = ("Euler", "implicitfast", "implicit")
+INTEGRATORS = (*CONTINUOUS, "discrete")
 SOFT = 'solimp="0 .95 .02" solref=".02 1"'
 
 

@@ -6,6 +6,7 @@ import inverse_models as models
 import mujoco
 import numpy as np
 import pytest
+import sensor_models
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_mujoco_inverse import assert_exact, dynamics_of, some_trajectory
@@ -196,7 +197,8 @@ def test_no_worse_than_differences_of_the_step():
 
 def test_forces_that_the_metric_does_not_know_fall_back():
     for xml, reason in (
-        (models.arm("discrete").replace("<option", '<option density="1000"'), "fluid"),
+        (models.arm("discrete").replace("<option", '<option density="1000"'), "takes forces implicitly"),
+        (sensor_models.laboratory("discrete"), "sensors feel constraint forces"),
         (creature(options='noslip_iterations="3"'), "noslip"),
         (creature(flag='<flag diagexact="enable"/>'), "exact constraint diagonals"),
     ):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from inverse_models import INTEGRATORS
+from inverse_models import CONTINUOUS
 from test_mujoco_inverse import assert_exact, dynamics_of, some_trajectory
 
 from mjslq.dynamics._base import compare_jacobians, fine_reference
@@ -36,7 +36,7 @@ def assert_better_than_transition(dynamics: MujocoDynamics, trajectory: Trajecto
     assert all(ours[name] < max(theirs[name], 1e-8) for name in ours), (ours, theirs)
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("integrator", CONTINUOUS)
 @pytest.mark.parametrize("case", models.CLOSED)
 def test_closed_forms(case, integrator):
     dynamics = dynamics_of(models.chain(integrator, **models.CLOSED[case]))
@@ -47,7 +47,7 @@ def test_closed_forms(case, integrator):
     assert_better_than_transition(dynamics, trajectory)
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("integrator", CONTINUOUS)
 @pytest.mark.parametrize("case", models.ARMS)
 def test_moving_moment_arms(case, integrator):
     dynamics = dynamics_of(models.chain(integrator, **models.ARMS[case]))
@@ -58,7 +58,7 @@ def test_moving_moment_arms(case, integrator):
     assert_better_than_transition(dynamics, trajectory)
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("integrator", CONTINUOUS)
 @pytest.mark.parametrize("case", models.REST)
 def test_differences_of_their_own_forces(case, integrator):
     dynamics = dynamics_of(models.chain(integrator, **models.REST[case]))
@@ -68,7 +68,7 @@ def test_differences_of_their_own_forces(case, integrator):
     assert_better_than_transition(dynamics, trajectory)
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("integrator", CONTINUOUS)
 @pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
 def test_beside_contacts_and_with_tendons_as_constraints(integrator, cone):
     dynamics = dynamics_of(models.tied(integrator, cone))
@@ -81,7 +81,7 @@ def test_beside_contacts_and_with_tendons_as_constraints(integrator, cone):
     assert_better_than_transition(dynamics, trajectory, eps=1e-6)
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("integrator", CONTINUOUS)
 def test_adhesion(integrator):
     dynamics = dynamics_of(models.sticky(integrator))
     trajectory = some_trajectory(dynamics, spread=0.0, speed=0.1, base=np.array([0.5, 0.0]), scale=0.1, settle=20)
@@ -152,7 +152,7 @@ def test_mixtures(data):
     for case in ("motors", "orientation"):
         drives += [models.REST[case]["actuators"]] if draw(st.booleans()) else []
     xml = models.chain(
-        draw(st.sampled_from(INTEGRATORS)),
+        draw(st.sampled_from(CONTINUOUS)),
         "".join(drives),
         models.path(tendon, draw(st.sampled_from(["", 'stiffness="3"', 'damping=".3 .1"']))),
         options=draw(st.sampled_from(["", models.WATER])),

@@ -298,7 +298,7 @@ def _differentiate_acceleration(job, x):
         add_weight_changes(job, F)
     outward(job, vector(job.qvel, job.nv), acc_c)
     inward(job)
-    subtract_derivatives(job, F, matrix(job.T, job.nv, job.nv))
+    subtract_derivatives(job, F, matrix(job.mixed, job.nv, job.nv))  # not into T, which rows are weighed by
     if add_rows(job, acc_c, F, G):
         add_differences(job, x, acc_c, F)
     fine = factorize(G)
