@@ -5,6 +5,7 @@ The mathematics stands at the head of `kernel`; which models are covered, in `co
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,8 +42,6 @@ class InverseJacobians:
             | {"eps": eps, "centered": int(centered)}
         )
         self._row_model = row_model(horizon.model)
-        feelings = ("sensors_accelerated", "sensors_on_rows", "sensors_differenced", "sensors_cut")
-        self._feels = any(bool(self._table[name]) for name in feelings)
         self._work = [self._workspace() for _ in range(horizon.workers.count)]
         self._blank = self._blank_jobs()
 
@@ -65,7 +64,7 @@ class InverseJacobians:
         given = {name: np.ascontiguousarray(array) for name, array in (("X", X), ("U", U), ("ends", ends))}
         for name, array in {**result._asdict(), **given}.items():
             jobs[name] = array.ctypes.data
-        horizon.workers.run(kernels.address(kernel(self._feels)), jobs)
+        horizon.workers.run(kernels.address(kernel(self._level)), jobs)
         return result
 
     def _blank_jobs(self) -> np.ndarray[Any, Any]:
@@ -87,6 +86,20 @@ class InverseJacobians:
             for name, array in work.items():
                 job[name] = array.ctypes.data
         return jobs
+
+    @cached_property
+    def _level(self) -> int:
+        """How much of the kernel the model needs; see there."""
+        from mjslq.dynamics.mujoco.inverse.kernel import CONSTRAINED, FEELING, SMOOTH, WHOLE
+
+        def any_of(*names: str) -> bool:
+            return any(bool(self._table[name]) for name in names)
+
+        if any_of("narm", "nfluid") or self._rest is not None or self._table["implicit"] == 3:
+            return WHOLE
+        if any_of("sensors_accelerated", "sensors_on_rows", "sensors_differenced", "sensors_cut"):
+            return FEELING
+        return CONSTRAINED if any_of("constrained") else SMOOTH
 
     def _workspace(self) -> dict[str, Any]:
         """Arrays for intermediate results of one worker."""

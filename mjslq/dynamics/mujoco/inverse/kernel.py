@@ -109,8 +109,8 @@ def _add(A, B):
 
 
 @compiled
-def _smooth_forces(job):
-    """F, T and E of all smooth forces at the state and control in mjData, for the step's acceleration acc_d."""
+def _smooth_forces(job, x, odd):
+    """F, T and E of all smooth forces at the state x and control in mjData, for the step's acceleration acc_d."""
     M_hat = matrix(job.M_hat, job.nv, job.nv)
     T = matrix(job.T, job.nv, job.nv)
     F = matrix(job.F, job.nv, job.columns)
@@ -126,21 +126,23 @@ def _smooth_forces(job):
             M_hat[i, i] = -job.h * T[i, i]  # Euler takes the joints' damping implicitly, and nothing else
     add_tendons(job, acc_d, F, T, E)
     activate(job)
-    if job.narm > 0:
+    if odd is not None and job.narm > 0:
         measure_arms(job)
     actuate(job)
-    if job.narm > 0:
+    if odd is not None and job.narm > 0:
         add_arms(job, acc_d, F, T, E)
     add_actuators(job, acc_d, F, T, E)
     add_site_actuators(job, F)
     if job.compensated:
         add_compensation_derivative(job, F)
-    if job.implicit == 3:
+    if odd is not None and job.implicit == 3:
         add_metric(job, acc_d, F, T, E)
     if job.gyroscopic:
         _gyroscopic(job)
-    if job.nfluid > 0:
+    if odd is not None and job.nfluid > 0:
         add_fluid(job, acc_d, F, T, E)
+    if odd is not None and job.rest_model != 0:
+        add_force_differences(job, x)
 
 
 @compiled
@@ -396,26 +398,32 @@ def _load(job, x, u):
 
 
 @compiled
-def _linearize_knot(job, x, v_next, A, B):
+def _linearize_knot(job, x, v_next, A, B, rows, odd):
     """A and B of a step from x, whose control is in mjData too."""
-    acc_d = vector(job.acc_d, job.nv)
+    acc_d, count = vector(job.acc_d, job.nv), 0
     for i in range(job.nv):
         acc_d[i] = (v_next[i] - x[job.nq + i]) / job.h
-    rows = find_rows(job) if job.constrained else 0
+    if rows is not None and job.constrained:
+        count = find_rows(job)
     if job.gyroscopic:
-        _find_spinning(job, rows)
-    _smooth_forces(job)
-    if job.rest_model != 0:
-        add_force_differences(job, x)
-    plain = rows == 0 and not (job.sensors_accelerated and 0 < job.implicit < 3)
-    fine = _smooth_step(job) if plain else _constrained_step(job, x)
-    if plain and job.sensors_accelerated:
-        _copy(acc_d, vector(job.acc_c, job.nv))
-        _assign(matrix(job.acc_rate, job.nv, job.columns), matrix(job.F, job.nv, job.columns))
+        _find_spinning(job, count)
+    _smooth_forces(job, x, odd)
+    fine = _smooth_step(job) if rows is None else _step_of(job, x, count)
     _write_step(job, v_next, A, B)
     if not fine:
         _fill(A, np.nan)
         _fill(B, np.nan)
+
+
+@compiled
+def _step_of(job, x, count):
+    """da_d/dz of a step with `count` constraint rows, into F, and what sensors of accelerations want to know."""
+    plain = count == 0 and not (job.sensors_accelerated and 0 < job.implicit < 3)
+    fine = _smooth_step(job) if plain else _constrained_step(job, x)
+    if plain and job.sensors_accelerated:
+        _copy(vector(job.acc_d, job.nv), vector(job.acc_c, job.nv))
+        _assign(matrix(job.acc_rate, job.nv, job.columns), matrix(job.F, job.nv, job.columns))
+    return fine
 
 
 @compiled
@@ -431,7 +439,7 @@ def _visit_last_knot(job):
 
 
 @compiled
-def _feel_last_knot(job, x):
+def _feel_last_knot(job, x, odd):
     """Do the same for sensors of accelerations and rows: the acceleration is the one that MuJoCo finds."""
     if not job.sensors_accelerated:
         _visit_last_knot(job)
@@ -446,9 +454,7 @@ def _feel_last_knot(job, x):
     rows = find_rows(job) if job.constrained else 0
     if job.gyroscopic:
         _find_spinning(job, rows)
-    _smooth_forces(job)
-    if job.rest_model != 0:
-        add_force_differences(job, x)
+    _smooth_forces(job, x, odd)
     _copy(qacc, vector(job.acc_c, job.nv))
     mass_matrix(job, matrix(job.M, job.nv, job.nv))
     _inertia(job)
@@ -464,13 +470,23 @@ def _sources() -> int:
     return checksum + 1
 
 
+SMOOTH, CONSTRAINED, FEELING, WHOLE = range(4)
+"""How much there is to a kernel, each level with all of those before it: rigid bodies, springs, dampers, actuators with
+constant moment arms and sensors of motion; constraints, contacts among them; sensors of accelerations, contacts and
+limits, and those without a closed form; fluids, moving moment arms, forces without a closed form, the discrete
+integrator's metric."""
+
+
 @functools.cache
-def kernel(feels: bool) -> Any:
-    """Compile the loop over the horizon; what feels no accelerations, contacts or limits does without half of it."""
-    return _make_kernel(_sources(), feels)
+def kernel(level: int) -> Any:
+    """Compile the loop over the horizon, or find it on disk; what a model does not need would take long to compile."""
+    return _make_kernel(_sources(), level >= CONSTRAINED, level >= FEELING, level >= WHOLE)
 
 
-def _make_kernel(stamp: int, feels: bool) -> Any:
+def _make_kernel(stamp: int, constrained: bool, feeling: bool, whole: bool) -> Any:
+    # numba leaves out what stands behind an argument that is None, or a switch from out here that is False
+    rows, odd = 1 if constrained else None, 1 if whole else None
+
     @_compiled(_void(_address, _address, types.int32, types.voidptr))
     def inverse(_model, _data, worker, jobs):
         """Jacobians A, B, C, D of the knots first ... last - 1; knot N has only C."""
@@ -488,15 +504,15 @@ def _make_kernel(stamp: int, feels: bool) -> Any:
             mj_comPos(job.model, job.data)
             if n < job.N:
                 A, B = matrix(job.A + 8 * n * ndx * ndx, ndx, ndx), matrix(job.B + 8 * n * ndx * nu, ndx, nu)
-                _linearize_knot(job, X[n], ends[n, job.nq : job.nq + job.nv], A, B)
+                _linearize_knot(job, X[n], ends[n, job.nq : job.nq + job.nv], A, B, rows, odd)
             elif ny > 0:
-                if feels:
-                    _feel_last_knot(job, X[n])
+                if feeling:
+                    _feel_last_knot(job, X[n], odd)
                 else:
                     _visit_last_knot(job)
             if ny > 0:
                 write_motions(job, C, D)
-                if feels:
+                if feeling:
                     write_feelings(job, n, X[n], C, D)
                 if n == job.N:
                     _fill(D, 0.0)
