@@ -94,6 +94,8 @@ CASES: dict[str, Callable[[], Problem]] = {
     "solo12 in flight": lambda: _solo12_in_flight(),
     "solo12 on its feet": lambda: problems.get("solo12_stand"),
     "g1 on its feet": lambda: problems.get("g1_reach"),
+    "box between moving plates": lambda: _grasp(),
+    "four-bar linkages": lambda: _linkages(),
 }
 
 
@@ -274,6 +276,52 @@ def _errors(dynamics: MujocoDynamics, trajectory: Trajectory) -> dict[str, float
     scale = np.abs(fine).max(axis=(1, 2))
     found = {mode: call().A for mode, call in _linearizations(dynamics, part).items()}
     return {mode: float(np.median(np.abs(A - fine).max(axis=(1, 2)) / scale)) for mode, A in found.items()}
+
+
+_GRASP = """
+<mujoco><option timestep=".005" integrator="implicitfast"/><worldbody>
+  <body pos="0 0 .05"><joint name="lift" type="slide" axis="0 0 1"/><geom type="box" size=".1 .1 .02" mass="1"/></body>
+  <body pos="-.08 0 .12"><joint name="left" type="slide" axis="1 0 0"/>
+    <geom type="box" size=".02 .06 .03" mass=".5"/></body>
+  <body pos=".08 0 .12"><joint name="right" type="slide" axis="-1 0 0"/>
+    <geom type="box" size=".02 .06 .03" mass=".5"/></body>
+  <body pos="0 0 .11"><freejoint/><geom type="box" size=".06 .05 .04" mass=".5"/></body></worldbody>
+  <actuator><position joint="lift" kp="4000" kv="60"/><position joint="left" kp="1000" kv="40"/>
+    <position joint="right" kp="1000" kv="40"/></actuator></mujoco>
+"""
+
+
+def _grasp() -> Problem:
+    """A box on a plate that moves up and down, between two plates that press on it: every body in contact moves."""
+    dynamics = MujocoDynamics.from_xml(_GRASP, threads=1)
+    x0 = dynamics.initial_state
+    goal = x0.copy()
+    goal[[0, 5]] += 0.05
+    weight = np.concatenate([np.full(9, 10.0), np.full(9, 0.1)])
+    held = np.array([0.0, 0.01, 0.01])
+    return Problem(dynamics, 100, x0, [State(weight, goal), Control(1.0, held)], name="grasp", U0=held)
+
+
+def _linkages() -> Problem:
+    """Four linkages of four bars each, closed by connect constraints, driven at one crank each."""
+    bars = ties = motors = ""
+    for k in range(4):
+        bars += f"""
+          <body pos="0 {0.2 * k} 1"><joint name="crank{k}" axis="0 1 0" damping=".05"/>
+            <geom type="capsule" fromto="0 0 0 0 0 -.2" size=".02"/>
+            <body pos="0 0 -.2"><joint axis="0 1 0" damping=".05"/>
+              <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02"/>
+              <body name="end{k}" pos=".3 0 0"><joint axis="0 1 0" damping=".05"/>
+                <geom type="capsule" fromto="0 0 0 0 0 .2" size=".02"/></body></body></body>"""
+        ties += f'<connect body1="end{k}" body2="world" anchor="0 0 .2"/>'
+        motors += f'<motor joint="crank{k}"/>'
+    dynamics = MujocoDynamics.from_xml(
+        f"""<mujoco><option timestep=".005" integrator="implicitfast"><flag contact="disable"/></option>
+        <worldbody>{bars}</worldbody><equality>{ties}</equality><actuator>{motors}</actuator></mujoco>""",
+        threads=1,
+    )
+    goal = np.concatenate([np.tile([0.3, -0.3, 0.3], 4), np.zeros(12)])
+    return Problem(dynamics, 100, dynamics.initial_state, [State(1.0, goal), Control(0.1)], name="linkages")
 
 
 def _chain(links: int) -> Problem:
