@@ -13,11 +13,11 @@ from test_mujoco_inverse import assert_exact, dynamics_of, some_trajectory
 
 from mjslq.dynamics._base import compare_jacobians, fine_reference
 from mjslq.dynamics.mujoco import MujocoDynamics
-from mjslq.dynamics.mujoco.inverse import columns
-from mjslq.dynamics.mujoco.inverse.muscles import muscle_bias, muscle_gain, muscle_rate
-from mjslq.dynamics.mujoco.inverse.outputs import sensors
-from mjslq.dynamics.mujoco.inverse.plan import plan
-from mjslq.dynamics.mujoco.inverse.remainder import remainder
+from mjslq.dynamics.mujoco.inverse.forces.muscles import muscle_bias, muscle_gain, muscle_rate
+from mjslq.dynamics.mujoco.inverse.forces.remainder import remainder
+from mjslq.dynamics.mujoco.inverse.readings.outputs import sensors
+from mjslq.dynamics.mujoco.inverse.table import columns
+from mjslq.dynamics.mujoco.inverse.table.plan import plan
 from mjslq.trajectory import Trajectory
 
 

@@ -13,8 +13,8 @@ from test_mujoco_inverse import STAND, dynamics_of, random_tree, some_trajectory
 
 from mjslq.dynamics._base import fine_reference
 from mjslq.dynamics.mujoco import MujocoDynamics
-from mjslq.dynamics.mujoco.inverse import columns
-from mjslq.dynamics.mujoco.inverse.outputs import TYPES, sensors
+from mjslq.dynamics.mujoco.inverse.readings.outputs import TYPES, sensors
+from mjslq.dynamics.mujoco.inverse.table import columns
 from mjslq.trajectory import Trajectory
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from mjslq.dynamics.mujoco.inverse.cover import describe, refusals
-from mjslq.dynamics.mujoco.inverse.plan import has_contacts
+from mjslq.dynamics.mujoco.inverse.table.plan import has_contacts
 
 _JOINT_NAMES = {
     mujoco.mjtJoint.mjJNT_FREE: "free joints",

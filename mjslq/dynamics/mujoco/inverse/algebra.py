@@ -7,7 +7,7 @@ matrices need not be symmetric: A = U L with U unit upper, L lower triangular.
 
 from __future__ import annotations
 
-from mjslq.dynamics.mujoco.inverse.spatial import compiled
+from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
 
 
 @compiled
@@ -57,3 +57,28 @@ def add_product(A, X, out):
             if factor != 0.0:
                 for c in range(X.shape[1]):
                     out[i, c] += factor * X[k, c]
+
+
+@inlined
+def fill(A, value):
+    """Set all entries."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            A[i, j] = value
+
+
+@inlined
+def assign(A, B):
+    """A = B."""
+    # not A[:, :] = B, whose check of shapes takes seconds to compile
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            A[i, j] = B[i, j]
+
+
+@inlined
+def add_matrix(A, B):
+    """A += B."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            A[i, j] += B[i, j]

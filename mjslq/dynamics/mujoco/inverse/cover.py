@@ -11,10 +11,17 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from mjslq.dynamics.mujoco.inverse import columns
-from mjslq.dynamics.mujoco.inverse.fluid_plan import in_fluid
-from mjslq.dynamics.mujoco.inverse.outputs import TYPES, sensors
-from mjslq.dynamics.mujoco.inverse.plan import (
+from mjslq.dynamics.mujoco.inverse.forces.remainder import (
+    AFFINE_BIASES,
+    AFFINE_GAINS,
+    is_spatial,
+    on_one_branch,
+    remainder,
+)
+from mjslq.dynamics.mujoco.inverse.readings.outputs import TYPES, sensors
+from mjslq.dynamics.mujoco.inverse.table import columns
+from mjslq.dynamics.mujoco.inverse.table.fluid_plan import in_fluid
+from mjslq.dynamics.mujoco.inverse.table.plan import (
     EQ,
     GEOM,
     INT,
@@ -30,7 +37,6 @@ from mjslq.dynamics.mujoco.inverse.plan import (
     tendon_dofs,
     tendons,
 )
-from mjslq.dynamics.mujoco.inverse.remainder import AFFINE_BIASES, AFFINE_GAINS, is_spatial, on_one_branch, remainder
 
 _OWN = "differences of their own forces"
 _ARMS = "analytic along moment arms that are differenced"

@@ -13,13 +13,13 @@ import numpy as np
 from mjslq._validation import Array
 from mjslq.dynamics._base import Linearization
 from mjslq.dynamics.mujoco import kernels
-from mjslq.dynamics.mujoco.inverse.arm_plan import arm_table
-from mjslq.dynamics.mujoco.inverse.fluid_plan import fluid_table
-from mjslq.dynamics.mujoco.inverse.job import INDICES, JOB, VIEWS, WORK
-from mjslq.dynamics.mujoco.inverse.layout import offsets
-from mjslq.dynamics.mujoco.inverse.outputs import sensors
-from mjslq.dynamics.mujoco.inverse.plan import arrays, plan, row_model
-from mjslq.dynamics.mujoco.inverse.remainder import covered_part, remainder, rest_part, rest_table
+from mjslq.dynamics.mujoco.inverse.forces.remainder import covered_part, remainder, rest_part, rest_table
+from mjslq.dynamics.mujoco.inverse.readings.outputs import sensors
+from mjslq.dynamics.mujoco.inverse.table.arm_plan import arm_table
+from mjslq.dynamics.mujoco.inverse.table.fluid_plan import fluid_table
+from mjslq.dynamics.mujoco.inverse.table.job import INDICES, JOB, VIEWS, WORK
+from mjslq.dynamics.mujoco.inverse.table.layout import offsets
+from mjslq.dynamics.mujoco.inverse.table.plan import arrays, plan, row_model
 from mjslq.dynamics.mujoco.library import copied
 
 if TYPE_CHECKING:

@@ -30,7 +30,6 @@ so that twelve numbers per body stand for its 36 entries, six of which are the m
 
 from __future__ import annotations
 
-from mjslq.dynamics.mujoco.inverse.job import integers, matrix, vector
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     add6,
@@ -52,6 +51,7 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     sub3,
     tail,
 )
+from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix, vector
 
 
 @inlined

@@ -140,3 +140,22 @@ def inertia_times(inertia, k, s):
 def velocity_at(s, x):
     """Velocity of the point x (relative to the tree's centre of mass) that moves with s."""
     return add3(tail(s), cross3(head(s), x))
+
+
+@inlined
+def quaternion_product(p, q):
+    """The turning q, then p."""
+    return (
+        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
+        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
+        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
+        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
+    )
+
+
+@inlined
+def turned(q, a):
+    """Turn a vector by a unit quaternion."""
+    u = (q[1], q[2], q[3])
+    t = scale3(2.0, cross3(u, a))
+    return add3(add3(a, scale3(q[0], t)), cross3(u, t))

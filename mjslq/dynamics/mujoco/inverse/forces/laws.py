@@ -25,7 +25,20 @@ import math
 
 import mujoco
 
-from mjslq.dynamics.mujoco.inverse.columns import (
+from mjslq.dynamics.mujoco.inverse.forces.muscles import muscle_bias, muscle_gain, muscle_rate
+from mjslq.dynamics.mujoco.inverse.spatial import (
+    add3,
+    compiled,
+    cross3,
+    cross_force,
+    dot6,
+    inlined,
+    join,
+    row3,
+    row6,
+    sub3,
+)
+from mjslq.dynamics.mujoco.inverse.table.columns import (
     ACT_RANGE,
     ACTUATOR_NUMBERS,
     BAND,
@@ -42,20 +55,7 @@ from mjslq.dynamics.mujoco.inverse.columns import (
     TENDON_NUMBERS,
     TIME_CONSTANT,
 )
-from mjslq.dynamics.mujoco.inverse.job import integers, matrix, vector
-from mjslq.dynamics.mujoco.inverse.muscles import muscle_bias, muscle_gain, muscle_rate
-from mjslq.dynamics.mujoco.inverse.spatial import (
-    add3,
-    compiled,
-    cross3,
-    cross_force,
-    dot6,
-    inlined,
-    join,
-    row3,
-    row6,
-    sub3,
-)
+from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix, vector
 
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 _FILTER = int(mujoco.mjtDyn.mjDYN_FILTER)

@@ -29,8 +29,6 @@ import mujoco
 import numba
 import numpy as np
 
-from mjslq.dynamics.mujoco.inverse import columns
-from mjslq.dynamics.mujoco.inverse.job import integers, matrix, vector
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add6,
     compiled,
@@ -46,6 +44,8 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     scale6,
     sub3,
 )
+from mjslq.dynamics.mujoco.inverse.table import columns
+from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix, vector
 from mjslq.dynamics.mujoco.kernels import _pointer
 
 _SHADOW, _MASS, _INERTIA, _ANGULAR = (

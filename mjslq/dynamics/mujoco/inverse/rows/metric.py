@@ -23,7 +23,8 @@ import math
 
 from numba import types
 
-from mjslq.dynamics.mujoco.inverse.columns import (
+from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
+from mjslq.dynamics.mujoco.inverse.table.columns import (
     ACTUATOR_NUMBERS,
     BAND,
     DAMPING,
@@ -32,8 +33,7 @@ from mjslq.dynamics.mujoco.inverse.columns import (
     STIFFNESS,
     TENDON_NUMBERS,
 )
-from mjslq.dynamics.mujoco.inverse.job import integers, matrix, vector
-from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
+from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix, vector
 from mjslq.dynamics.mujoco.kernels import _address, _void
 
 mju_subQuat = types.ExternalFunction("mju_subQuat", _void(_address, _address, _address))  # noqa: N816

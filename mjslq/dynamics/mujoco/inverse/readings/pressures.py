@@ -27,9 +27,9 @@ from __future__ import annotations
 
 from numba import types
 
-from mjslq.dynamics.mujoco.inverse import columns
-from mjslq.dynamics.mujoco.inverse.accelerations import add_acceleration, clear_lever
-from mjslq.dynamics.mujoco.inverse.constraints import (
+from mjslq.dynamics.mujoco.inverse.readings.accelerations import add_acceleration, clear_lever
+from mjslq.dynamics.mujoco.inverse.readings.frames import clear_rows, is_below, moves, pose
+from mjslq.dynamics.mujoco.inverse.rows.constraints import (
     CONE,
     ELLIPTIC,
     FRICTIONLESS,
@@ -38,7 +38,7 @@ from mjslq.dynamics.mujoco.inverse.constraints import (
     is_differenced,
     read_row,
 )
-from mjslq.dynamics.mujoco.inverse.contacts import (
+from mjslq.dynamics.mujoco.inverse.rows.contacts import (
     _directions,
     _force_change,
     _points,
@@ -47,9 +47,7 @@ from mjslq.dynamics.mujoco.inverse.contacts import (
     _velocities,
     _wrench,
 )
-from mjslq.dynamics.mujoco.inverse.frames import clear_rows, is_below, moves, pose, turned
-from mjslq.dynamics.mujoco.inverse.geometry import contact_motion
-from mjslq.dynamics.mujoco.inverse.job import entry_address, entry_count, flags, integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.rows.geometry import contact_motion
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     add6,
@@ -67,8 +65,11 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     scale6,
     sub3,
     tail,
+    turned,
     velocity_at,
 )  # fmt: skip
+from mjslq.dynamics.mujoco.inverse.table import columns
+from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, integers, matrix, vector
 from mjslq.dynamics.mujoco.kernels import _address, _number
 
 mju_rayGeom = types.ExternalFunction(  # noqa: N816

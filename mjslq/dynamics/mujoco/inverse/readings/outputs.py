@@ -1,7 +1,7 @@
 """What the kernel of the inverse Jacobians has to know about a model's sensors.
 
 A sensor's reading is a function of the state alone, or of state, control and acceleration; how far it reaches is its
-stage in MuJoCo's pipeline. Those that costs are made of have derivatives in closed form (`sensors`, `accelerations`,
+stage in MuJoCo's pipeline. Those that costs are made of have derivatives in closed form (`motions`, `accelerations`,
 `pressures`). The others are differenced within their stage (`stages`), where the acceleration moves along with what is
 varied, so that no constraint solver runs. Which formula serves a sensor is settled here, by its kind (`columns`).
 """
@@ -13,8 +13,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjslq.dynamics.mujoco.inverse import columns
-from mjslq.dynamics.mujoco.inverse.plan import (
+from mjslq.dynamics.mujoco.inverse.forces.remainder import Remainder, is_spatial, remainder
+from mjslq.dynamics.mujoco.inverse.table import columns
+from mjslq.dynamics.mujoco.inverse.table.plan import (
     EQ,
     OFF,
     ON_JOINTS,
@@ -23,7 +24,6 @@ from mjslq.dynamics.mujoco.inverse.plan import (
     disabled,
     whole,
 )
-from mjslq.dynamics.mujoco.inverse.remainder import Remainder, is_spatial, remainder
 
 _SENSOR, _OBJECT, _DATA = whole(mujoco.mjtSensor), whole(mujoco.mjtObj), whole(mujoco.mjtDataType)
 _STAGE, _ROW = whole(mujoco.mjtStage), whole(mujoco.mjtConstraint)

@@ -18,10 +18,10 @@ from __future__ import annotations
 
 from numba import types
 
-from mjslq.dynamics.mujoco.inverse.constraints import find_rows, mj_tendon
-from mjslq.dynamics.mujoco.inverse.differences import mj_comPos, mj_integratePos, mj_kinematics
-from mjslq.dynamics.mujoco.inverse.job import integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.rows.constraints import find_rows, mj_tendon
+from mjslq.dynamics.mujoco.inverse.rows.differences import mj_comPos, mj_integratePos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.spatial import compiled
+from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix, vector
 from mjslq.dynamics.mujoco.kernels import _address, _copy, _void
 
 _step = _void(_address, _address)

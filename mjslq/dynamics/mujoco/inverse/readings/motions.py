@@ -25,19 +25,17 @@ from __future__ import annotations
 
 from numba import types
 
-from mjslq.dynamics.mujoco.inverse import columns
-from mjslq.dynamics.mujoco.inverse.accelerations import (
+from mjslq.dynamics.mujoco.inverse.readings.accelerations import (
     add_acceleration,
     add_inertial_force,
     clear_lever,
     write_acceleration,
 )
-from mjslq.dynamics.mujoco.inverse.columns import ARMATURE, TENDON_NUMBERS
-from mjslq.dynamics.mujoco.inverse.constraints import evaluate_rows
-from mjslq.dynamics.mujoco.inverse.frames import clear_rows, is_below, moves, pose, quaternion_product, turned
-from mjslq.dynamics.mujoco.inverse.job import entry_count, integers, matrix, vector
-from mjslq.dynamics.mujoco.inverse.pressures import add_pressures, write_contacts, write_limit
+from mjslq.dynamics.mujoco.inverse.readings.frames import clear_rows, is_below, moves, pose
+from mjslq.dynamics.mujoco.inverse.readings.pressures import add_pressures, write_contacts, write_limit
+from mjslq.dynamics.mujoco.inverse.readings.stages import difference_stages
 from mjslq.dynamics.mujoco.inverse.rigid import inward, outward
+from mjslq.dynamics.mujoco.inverse.rows.constraints import evaluate_rows
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     add6,
@@ -49,15 +47,19 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     head,
     inertia_times,
     inlined,
+    quaternion_product,
     row3,
     row6,
     scale3,
     sub3,
     sub6,
     tail,
+    turned,
     velocity_at,
 )  # fmt: skip
-from mjslq.dynamics.mujoco.inverse.stages import difference_stages
+from mjslq.dynamics.mujoco.inverse.table import columns
+from mjslq.dynamics.mujoco.inverse.table.columns import ARMATURE, TENDON_NUMBERS
+from mjslq.dynamics.mujoco.inverse.table.job import entry_count, integers, matrix, vector
 
 _POS, _QUAT, _AXIS, _VEL, _TURN = (
     columns.FRAME_POS, columns.FRAME_QUAT, columns.FRAME_AXIS, columns.FRAME_VEL, columns.FRAME_TURN

@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjslq.dynamics.mujoco.inverse import columns
+from mjslq.dynamics.mujoco.inverse.table import columns
 from mjslq.dynamics.mujoco.library import collision_functions
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjslq.dynamics.mujoco.inverse import columns
-from mjslq.dynamics.mujoco.inverse.plan import GEOM, OFF, disabled
+from mjslq.dynamics.mujoco.inverse.table import columns
+from mjslq.dynamics.mujoco.inverse.table.plan import GEOM, OFF, disabled
 
 
 def fluid_table(model: mujoco.MjModel) -> dict[str, Any]:

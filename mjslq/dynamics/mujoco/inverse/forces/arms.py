@@ -4,7 +4,7 @@ Notation
 --------
     J, G                 moment arm (force s along the length is J' s on the dofs), and its derivative G_ji = dJ_j/dq_i
     L                    derivative of the length by position; J, but for turned sites and ball joints
-    s(length, J v, u)    the force: a tendon's spring and damper, an actuator's (`forces`), with derivatives s_l, s_v
+    s(length, J v, u)    the force: a tendon's spring and damper, an actuator's (`laws`), with derivatives s_l, s_v
     T_ji = s_v J_j J_i   what an implicit integrator takes, for i ~ j on one branch
     r_j = sum over i ~ j of J_i a_i
 
@@ -27,10 +27,8 @@ import math
 
 from numba import types
 
-from mjslq.dynamics.mujoco.inverse.columns import BAND, DAMPING, FORCE_NUMBERS, STIFFNESS, TENDON_NUMBERS
-from mjslq.dynamics.mujoco.inverse.constraints import mj_tendon
-from mjslq.dynamics.mujoco.inverse.differences import mj_comPos, mj_integratePos, mj_kinematics
-from mjslq.dynamics.mujoco.inverse.job import flags, integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.rows.constraints import mj_tendon
+from mjslq.dynamics.mujoco.inverse.rows.differences import mj_comPos, mj_integratePos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.spatial import (
     compiled,
     cross3,
@@ -42,6 +40,8 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     sub3,
     velocity_at,
 )  # fmt: skip
+from mjslq.dynamics.mujoco.inverse.table.columns import BAND, DAMPING, FORCE_NUMBERS, STIFFNESS, TENDON_NUMBERS
+from mjslq.dynamics.mujoco.inverse.table.job import flags, integers, matrix, vector
 from mjslq.dynamics.mujoco.kernels import _address, _copy, _void
 
 mj_transmission = types.ExternalFunction("mj_transmission", _void(_address, _address))

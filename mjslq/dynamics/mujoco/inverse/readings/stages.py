@@ -19,18 +19,18 @@ from __future__ import annotations
 
 from numba import types
 
-from mjslq.dynamics.mujoco.inverse import columns
-from mjslq.dynamics.mujoco.inverse.constraints import (
+from mjslq.dynamics.mujoco.inverse.readings.frames import clear_rows
+from mjslq.dynamics.mujoco.inverse.rows.constraints import (
     evaluate_rows,
     find_rows,
     mj_comVel,
     mj_referenceConstraint,
     mj_tendon,
 )
-from mjslq.dynamics.mujoco.inverse.differences import mj_comPos, mj_integratePos, mj_kinematics
-from mjslq.dynamics.mujoco.inverse.frames import clear_rows
-from mjslq.dynamics.mujoco.inverse.job import entry_count, integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.rows.differences import mj_comPos, mj_integratePos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
+from mjslq.dynamics.mujoco.inverse.table import columns
+from mjslq.dynamics.mujoco.inverse.table.job import entry_count, integers, matrix, vector
 from mjslq.dynamics.mujoco.kernels import _address, _copy, _void
 
 _step = _void(_address, _address)

@@ -19,8 +19,8 @@ google-deepmind/mujoco_warp#1535.
 
 from __future__ import annotations
 
-from mjslq.dynamics.mujoco.inverse.geometry import contact_motion
-from mjslq.dynamics.mujoco.inverse.job import entry_address, flags, integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.rows.geometry import contact_motion
+from mjslq.dynamics.mujoco.inverse.rows.wrenches import add_force_change, from_center, mark_members
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     add6,
@@ -40,7 +40,7 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     tail,
     velocity_at,
 )  # fmt: skip
-from mjslq.dynamics.mujoco.inverse.wrenches import add_force_change, from_center, mark_members
+from mjslq.dynamics.mujoco.inverse.table.job import entry_address, flags, integers, matrix, vector
 
 _PYRAMIDAL, _ELLIPTIC = 6, 7
 _QUADRATIC, _CONE = 1, 4

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mjslq.dynamics.mujoco.inverse.job import integers, matrix
-from mjslq.dynamics.mujoco.inverse.spatial import add3, cross3, inlined, row3, scale3, sub3
+from mjslq.dynamics.mujoco.inverse.spatial import add3, inlined, quaternion_product, row3, sub3, turned
+from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix
 
 
 @inlined
@@ -14,25 +14,6 @@ def clear_rows(C, D, row, size):
             C[k, c] = 0.0
         for c in range(D.shape[1]):
             D[k, c] = 0.0
-
-
-@inlined
-def quaternion_product(p, q):
-    """The turning q, then p."""
-    return (
-        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
-        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
-        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
-        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
-    )
-
-
-@inlined
-def turned(q, a):
-    """Turn a vector by a unit quaternion."""
-    u = (q[1], q[2], q[3])
-    t = scale3(2.0, cross3(u, a))
-    return add3(add3(a, scale3(q[0], t)), cross3(u, t))
 
 
 @inlined

@@ -28,9 +28,7 @@ from __future__ import annotations
 
 from numba import types
 
-from mjslq.dynamics.mujoco.inverse import columns
-from mjslq.dynamics.mujoco.inverse.frames import clear_rows, is_below, moves, pose, turned
-from mjslq.dynamics.mujoco.inverse.job import integers, matrix
+from mjslq.dynamics.mujoco.inverse.readings.frames import clear_rows, is_below, moves, pose
 from mjslq.dynamics.mujoco.inverse.rigid import _symmetric_times
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
@@ -48,8 +46,11 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     sub3,
     sub6,
     tail,
+    turned,
     velocity_at,
 )  # fmt: skip
+from mjslq.dynamics.mujoco.inverse.table import columns
+from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix
 
 
 @compiled

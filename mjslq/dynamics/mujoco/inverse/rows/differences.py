@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from numba import types
 
-from mjslq.dynamics.mujoco.inverse.constraints import (
+from mjslq.dynamics.mujoco.inverse.rows.constraints import (
     EQUALITY,
     SATISFIED,
     evaluate_rows,
@@ -19,9 +19,9 @@ from mjslq.dynamics.mujoco.inverse.constraints import (
     read_row,
     refer_rows,
 )
-from mjslq.dynamics.mujoco.inverse.job import entry_address, entry_count, flags, integers, vector
+from mjslq.dynamics.mujoco.inverse.rows.weights import weigh_rows
 from mjslq.dynamics.mujoco.inverse.spatial import compiled
-from mjslq.dynamics.mujoco.inverse.weights import weigh_rows
+from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, integers, vector
 from mjslq.dynamics.mujoco.kernels import _address, _copy, _number, _void
 
 mj_kinematics = types.ExternalFunction("mj_kinematics", _void(_address, _address))

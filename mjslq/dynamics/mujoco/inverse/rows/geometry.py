@@ -31,9 +31,8 @@ from __future__ import annotations
 
 import math
 
-from mjslq.dynamics.mujoco.inverse.columns import BOX, CAPSULE, CYLINDER, ELLIPSOID, MESH, PLANE, SPHERE
-from mjslq.dynamics.mujoco.inverse.job import flags, integers, matrix, vector
-from mjslq.dynamics.mujoco.inverse.pairs import MOST, fill_by_differences, first_of_pair
+from mjslq.dynamics.mujoco.inverse.rows.pairs import MOST, fill_by_differences, first_of_pair
+from mjslq.dynamics.mujoco.inverse.rows.wrenches import from_center
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     compiled,
@@ -46,7 +45,8 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     sub3,
     velocity_at,
 )  # fmt: skip
-from mjslq.dynamics.mujoco.inverse.wrenches import from_center
+from mjslq.dynamics.mujoco.inverse.table.columns import BOX, CAPSULE, CYLINDER, ELLIPSOID, MESH, PLANE, SPHERE
+from mjslq.dynamics.mujoco.inverse.table.job import flags, integers, matrix, vector
 
 FLAT = 1e7
 """What stands for an infinite radius of curvature. [m]"""

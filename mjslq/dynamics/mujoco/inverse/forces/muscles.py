@@ -14,8 +14,8 @@ u, and a in s, are clamped to [0, 1]. (MuJoCo's documentation, "Muscles".)
 
 from __future__ import annotations
 
-from mjslq.dynamics.mujoco.inverse.columns import LENGTH_RANGE, MUSCLE_BIAS, MUSCLE_GAIN, MUSCLE_TIMES
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
+from mjslq.dynamics.mujoco.inverse.table.columns import LENGTH_RANGE, MUSCLE_BIAS, MUSCLE_GAIN, MUSCLE_TIMES
 
 _FORCE, _LMIN, _LMAX, _VMAX, _FPMAX, _FVMAX = 2, 4, 5, 6, 7, 8
 _TINY = 1e-15

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from numba import types
 
-from mjslq.dynamics.mujoco.inverse.constraints import (
+from mjslq.dynamics.mujoco.inverse.rows.constraints import (
     CONE,
     EQUALITY,
     FRICTIONLESS,
@@ -35,10 +35,10 @@ from mjslq.dynamics.mujoco.inverse.constraints import (
     is_differenced,
     read_row,
 )
-from mjslq.dynamics.mujoco.inverse.contacts import add_row_change
-from mjslq.dynamics.mujoco.inverse.impedance import resolve, softness
-from mjslq.dynamics.mujoco.inverse.job import entry_address, entry_count, flags, integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.rows.contacts import add_row_change
+from mjslq.dynamics.mujoco.inverse.rows.impedance import resolve, softness
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, cross_motion, dot6, inertia_times, inlined, row6
+from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, integers, matrix, vector
 
 
 @inlined

@@ -28,8 +28,7 @@ from __future__ import annotations
 
 import math
 
-from mjslq.dynamics.mujoco.inverse.columns import TIE_NUMBERS, WELD
-from mjslq.dynamics.mujoco.inverse.job import entry_address, integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.rows.wrenches import add_force_change, from_center, mark_members
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     compiled,
@@ -39,15 +38,18 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     head,
     inlined,
     join,
+    quaternion_product,
     row3,
     row6,
     scale3,
     sub3,
     sub6,
     tail,
+    turned,
     velocity_at,
 )
-from mjslq.dynamics.mujoco.inverse.wrenches import add_force_change, from_center, mark_members
+from mjslq.dynamics.mujoco.inverse.table.columns import TIE_NUMBERS, WELD
+from mjslq.dynamics.mujoco.inverse.table.job import entry_address, integers, matrix, vector
 
 
 @compiled
@@ -62,7 +64,7 @@ def add_tie(job, r, index, F):
     x_1, q_1 = _place(job, bodies[0], prm, 7)
     x_2, q_2 = _place(job, bodies[1], prm, 0)
     points = (from_center(job, bodies[0], x_1), from_center(job, bodies[1], x_2))
-    p = _times((q_1[0], -q_1[1], -q_1[2], -q_1[3]), q_2)
+    p = quaternion_product((q_1[0], -q_1[1], -q_1[2], -q_1[3]), q_2)
     scale = prm[14] if integers(job.eq_kind, job.neq)[index] == WELD else 0.0
     e = join(sub3(x_2, x_1), scale3(scale, (p[1], p[2], p[3])))
     mark_members(job, bodies)
@@ -89,15 +91,15 @@ def _add_dof(job, r, i, sides, bodies, points, q_1, p, e, scale, F):
     ev_a = join(sub3(second[7], first[7]), scale3(scale, by_vel))
     s, ds, ds_v = _row_changes(job, r, scale != 0.0, e, de, de_v, de_a, ev_a)
     half = 0.5 * scale
-    couple = scale3(half, turn(q_1, add3(scale3(p[0], tail(s)), cross3(u, tail(s)))))
+    couple = scale3(half, turned(q_1, add3(scale3(p[0], tail(s)), cross3(u, tail(s)))))
     moved = add3(scale3(dw, tail(s)), cross3(du, tail(s)))
     pushed = add3(scale3(p[0], tail(ds)), cross3(u, tail(ds)))
-    dcouple = add3(scale3(half, turn(q_1, add3(moved, pushed))), cross3(first[0], couple))
+    dcouple = add3(scale3(half, turned(q_1, add3(moved, pushed))), cross3(first[0], couple))
     W = join(couple, head(s))
     change = join(dcouple, head(ds))
     add_force_change(job, i, i, sides, bodies, points, W, change, (first[1], second[1]), F)
     pushed = add3(scale3(p[0], tail(ds_v)), cross3(u, tail(ds_v)))
-    change = join(scale3(half, turn(q_1, pushed)), head(ds_v))
+    change = join(scale3(half, turned(q_1, pushed)), head(ds_v))
     still = (0.0, 0.0, 0.0)
     add_force_change(job, job.nv + i, i, 0, bodies, points, W, change, (still, still), F)
 
@@ -158,13 +160,13 @@ def _turning(job, bodies, first, second, q_1, p):
     rate = sub3(sub3(row3(body_acc, bodies[1]), row3(body_acc, bodies[0])), cross3(w_1, apart))
     back = (q_1[0], -q_1[1], -q_1[2], -q_1[3])
     # T, W, W' and their changes, all seen from q_1
-    T, W, dW_dt = turn(back, sub3(second[0], first[0])), turn(back, apart), turn(back, rate)
+    T, W, dW_dt = turned(back, sub3(second[0], first[0])), turned(back, apart), turned(back, rate)
     d_apart = sub3(second[2], first[2])
-    dW = turn(back, sub3(d_apart, cross3(first[0], apart)))
+    dW = turned(back, sub3(d_apart, cross3(first[0], apart)))
     d_rate = sub3(sub3(sub3(second[4], first[4]), cross3(first[2], apart)), cross3(w_1, d_apart))
-    dW_dt_q = turn(back, sub3(d_rate, cross3(first[0], rate)))
+    dW_dt_q = turned(back, sub3(d_rate, cross3(first[0], rate)))
     v_rate = sub3(sub3(second[6], first[6]), add3(cross3(first[0], apart), cross3(w_1, sub3(second[0], first[0]))))
-    dW_dt_v = turn(back, v_rate)
+    dW_dt_v = turned(back, v_rate)
     w, u = p[0], (p[1], p[2], p[3])
     u_dot, w_dot = _rolled(w, u, W)
     du, dw = _rolled(w, u, T)
@@ -194,25 +196,6 @@ def _place(job, body, prm, at):
     """Where an object is: its anchor and its orientation, of its place in the body (at prm[at])."""
     xpos, xquat = matrix(job.xpos, job.nbody, 3), matrix(job.xquat, job.nbody, 4)
     q = (xquat[body, 0], xquat[body, 1], xquat[body, 2], xquat[body, 3])
-    place = turn(q, (prm[at], prm[at + 1], prm[at + 2]))
+    place = turned(q, (prm[at], prm[at + 1], prm[at + 2]))
     own = (prm[at + 3], prm[at + 4], prm[at + 5], prm[at + 6])
-    return add3(row3(xpos, body), place), _times(q, own)
-
-
-@inlined
-def _times(p, q):
-    """Product of two quaternions."""
-    return (
-        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
-        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
-        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
-        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
-    )
-
-
-@inlined
-def turn(q, x):
-    """A vector turned by a unit quaternion."""
-    u = (q[1], q[2], q[3])
-    t = scale3(2.0, cross3(u, x))
-    return add3(x, add3(scale3(q[0], t), cross3(u, t)))
+    return add3(row3(xpos, body), place), quaternion_product(q, own)

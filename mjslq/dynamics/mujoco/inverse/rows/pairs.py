@@ -21,8 +21,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from mjslq.dynamics.mujoco.inverse.job import entry_address, entry_count, flags, integers, matrix, vector
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, cross3, dot3, inlined, row3, sub3
+from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, integers, matrix, vector
 
 MOST = int(mujoco.mjMAXCONPAIR)
 """Contacts that two geoms can have."""

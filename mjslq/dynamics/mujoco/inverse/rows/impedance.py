@@ -31,8 +31,8 @@ import math
 
 import mujoco
 
-from mjslq.dynamics.mujoco.inverse.job import entry_address, entry_count, flags, matrix, vector
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
+from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, matrix, vector
 
 _LIMIT_JOINT, _LIMIT_TENDON, _FRICTIONLESS = 3, 4, 5
 _LEAST = (1.0 - mujoco.mjMAXIMP) / mujoco.mjMAXIMP

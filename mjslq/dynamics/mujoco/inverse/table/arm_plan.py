@@ -7,13 +7,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjslq.dynamics.mujoco.inverse.plan import TRN, WRAP, tendons
-from mjslq.dynamics.mujoco.inverse.remainder import (
+from mjslq.dynamics.mujoco.inverse.forces.remainder import (
     Remainder,
     ancestors,
     driven_dofs,
     touched_dofs,
 )
+from mjslq.dynamics.mujoco.inverse.table.plan import TRN, WRAP, tendons
 
 
 def arm_table(model: mujoco.MjModel, rest: Remainder) -> dict[str, Any]:

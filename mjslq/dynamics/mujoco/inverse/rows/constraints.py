@@ -30,12 +30,12 @@ import math
 
 from numba import types
 
-from mjslq.dynamics.mujoco.inverse.columns import BY_LENGTHS, CONNECT, FIELD, PLANE, UNKNOWN, WELD
-from mjslq.dynamics.mujoco.inverse.contacts import add_contact
-from mjslq.dynamics.mujoco.inverse.equalities import add_tie
-from mjslq.dynamics.mujoco.inverse.impedance import fold_references
-from mjslq.dynamics.mujoco.inverse.job import entry_address, entry_count, flags, integers, matrix, vector
+from mjslq.dynamics.mujoco.inverse.rows.contacts import add_contact
+from mjslq.dynamics.mujoco.inverse.rows.equalities import add_tie
+from mjslq.dynamics.mujoco.inverse.rows.impedance import fold_references
 from mjslq.dynamics.mujoco.inverse.spatial import add3, compiled, cross3, dot3, inlined, scale3, sub3
+from mjslq.dynamics.mujoco.inverse.table.columns import BY_LENGTHS, CONNECT, FIELD, PLANE, UNKNOWN, WELD
+from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, integers, matrix, vector
 from mjslq.dynamics.mujoco.kernels import _address, _void
 
 _step = _void(_address, _address)

@@ -24,8 +24,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from mjslq.dynamics.mujoco.inverse.columns import FORCE_NUMBERS
-from mjslq.dynamics.mujoco.inverse.layout import ARENA, CONTACT, COUNTS
+from mjslq.dynamics.mujoco.inverse.table.columns import FORCE_NUMBERS
+from mjslq.dynamics.mujoco.inverse.table.layout import ARENA, CONTACT, COUNTS
 from mjslq.dynamics.mujoco.kernels import _pointer
 
 SIZES = (

@@ -1,7 +1,7 @@
 """Smooth forces that have no closed form here, set apart from those that have one.
 
 Forces add up, so that a model can be split in two: in one copy what has no closed form is switched off, and `plan`
-makes the kernel's tables of that; in the other everything else is, and `force_differences` differentiates what is
+makes the kernel's tables of that; in the other everything else is, and `differences` differentiates what is
 left. Only parts that act on the motion count. Without a closed form are
 
     nonlinear springs of free joints;
@@ -23,8 +23,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjslq.dynamics.mujoco.inverse import columns
-from mjslq.dynamics.mujoco.inverse.plan import (
+from mjslq.dynamics.mujoco.inverse.table import columns
+from mjslq.dynamics.mujoco.inverse.table.plan import (
     BIAS,
     DYN,
     GAIN,

@@ -17,7 +17,6 @@ for dofs that move body 1 the same with the other sign.
 
 from __future__ import annotations
 
-from mjslq.dynamics.mujoco.inverse.job import integers, matrix
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     compiled,
@@ -33,6 +32,7 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     sub6,
     tail,
 )
+from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix
 
 
 @compiled

@@ -1,0 +1,1 @@
+"""Constraint rows: their forces and how these change, contacts and the discrete integrator's weights included."""
