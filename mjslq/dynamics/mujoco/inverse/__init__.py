@@ -21,9 +21,9 @@ rows/               constraint rows
     metric, impedance, weights    what the discrete integrator does to the inertia and to the rows
 
 readings/           sensors
-    motions, frames          of positions, velocities, forces of actuators
-    accelerations, pressures of accelerations, contacts and limits
-    stages, outputs          by differences of their own stage; which sensor is served how
+    motions, frames     of positions, velocities, forces of actuators
+    accelerations, pressures, limits    of accelerations, contacts, limits
+    stages, outputs     by differences of their own stage; which sensor is served how
 
 table/              what the kernel is told about a model
     plan, arm_plan, fluid_plan    from the model to arrays

@@ -71,7 +71,7 @@ def _coriolis_matrix(Y, b, inertia, v):
 
 
 @inlined
-def _symmetric_times(Y, b, a):
+def symmetric_times(Y, b, a):
     """Y a."""
     return (
         Y[b, 0] * a[0] + Y[b, 3] * a[1] + Y[b, 4] * a[2],
@@ -198,11 +198,11 @@ def subtract_derivatives(job, F, M):
         n, p = row3(body_momentum, b), (body_momentum[b, 3], body_momentum[b, 4], body_momentum[b, 5])
         IS = inertia_times(body_inertia, b, S)
         # S' 2B has an angular part only
-        row = add3(add3(_symmetric_times(body_Y, b, head(S)), cross3(n, head(S))), scale3(2.0, cross3(p, tail(S))))
-        turned = sub3(_symmetric_times(body_Y, b, head(P)), cross3(n, head(P)))
+        row = add3(add3(symmetric_times(body_Y, b, head(S)), cross3(n, head(S))), scale3(2.0, cross3(p, tail(S))))
+        turned = sub3(symmetric_times(body_Y, b, head(P)), cross3(n, head(P)))
         column_q = add6(join(turned, scale3(-2.0, cross3(p, head(P)))), inertia_times(body_inertia, b, R))
         column_q = add6(column_q, cross_force(S, row6(body_force, b)))
-        turned = sub3(_symmetric_times(body_Y, b, head(S)), cross3(n, head(S)))
+        turned = sub3(symmetric_times(body_Y, b, head(S)), cross3(n, head(S)))
         column_v = add6(join(turned, scale3(-2.0, cross3(p, head(S)))), inertia_times(body_inertia, b, Q))
         for j in range(i + 1, dof_groupend[i]):
             F[i, j] -= dot3(row, row3(dof_P, j)) + dot6(IS, row6(dof_R, j))

@@ -29,7 +29,7 @@ from __future__ import annotations
 from numba import types
 
 from mjslq.dynamics.mujoco.inverse.readings.frames import clear_rows, is_below, moves, pose
-from mjslq.dynamics.mujoco.inverse.rigid import _symmetric_times
+from mjslq.dynamics.mujoco.inverse.rigid import symmetric_times
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
     add6,
@@ -129,7 +129,7 @@ def _coriolis(job, k, s):
     """2 B s of the subtree of body k."""
     momentum = row6(matrix(job.body_momentum, job.nbody, 6), k)
     a = head(s)
-    turn = sub3(_symmetric_times(matrix(job.body_Y, job.nbody, 6), k, a), cross3(head(momentum), a))
+    turn = sub3(symmetric_times(matrix(job.body_Y, job.nbody, 6), k, a), cross3(head(momentum), a))
     return join(turn, scale3(-2.0, cross3(tail(momentum), a)))
 
 

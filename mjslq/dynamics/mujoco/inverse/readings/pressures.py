@@ -1,4 +1,4 @@
-"""Derivatives of what sensors read of constraint forces: touch, contacts, limits, the contacts' part of force, torque.
+"""Derivatives of what sensors read of constraint forces: touch, contacts, the contacts' part of force, torque.
 
 Notation (rows, s, H, jar, KBIP: `constraints`; E, W, dp, ddist, phi and the fixed-acceleration ds: `contacts`)
 --------
@@ -14,8 +14,6 @@ The rows' forces change with ds = -H djar and with the change of H, and with vel
 where the part by acceleration goes into the lever of `accelerations`. Readings in the contact's own frame see no more
 than that. In the world's axes, or at a site, (couple, force) turns by phi besides; a torque's arm moves with dp, and
 a site's axes by theta, as do those of the inertia's part.
-
-A limit has one row with a constant J, which is also the gradient of its distance; s is as in `constraints`.
 
 The relative velocity of the bodies, in a contact's axes, is what rows measure: d(J v), as in `contacts`.
 
@@ -36,16 +34,15 @@ from mjslq.dynamics.mujoco.inverse.rows.constraints import (
     PYRAMIDAL,
     QUADRATIC,
     is_differenced,
-    read_row,
 )
 from mjslq.dynamics.mujoco.inverse.rows.contacts import (
-    _directions,
-    _force_change,
-    _points,
-    _pushes,
-    _rate,
-    _velocities,
-    _wrench,
+    body_velocities,
+    contact_points,
+    contact_wrench,
+    force_change,
+    pushes,
+    relative_rate,
+    row_directions,
 )
 from mjslq.dynamics.mujoco.inverse.rows.geometry import contact_motion
 from mjslq.dynamics.mujoco.inverse.spatial import (
@@ -103,7 +100,7 @@ def _rows_of(job, contact):
     kind = flags(entry_address(job.data + job.at_efc_type), r + 1)[r]
     dim = flags(contact + job.at_contact_dim, 1)[0]
     count = 2 * (dim - 1) if kind == PYRAMIDAL else dim
-    return r if _pushes(job, r, count) else types.int64(-1), kind, count
+    return r if pushes(job, r, count) else types.int64(-1), kind, count
 
 
 @compiled
@@ -120,7 +117,7 @@ def add_pressures(job, s, kind, row, C):
         r, of, count = _rows_of(job, contact)
         if r < 0:
             continue
-        size = _directions(job, contact, of, count)
+        size = row_directions(job, contact, of, count)
         sign = _touches(job, s, contact, r, size) if kind == columns.TOUCH else _presses(job, s, contact)
         if sign == 0.0:
             continue
@@ -140,7 +137,7 @@ def _touches(job, s, contact, r, size):
     body = integers(job.sen_body, job.nsensor)[s]
     site = integers(job.sen_target, job.nsensor)[s]
     first, second = _bodies(job, contact)
-    W = _wrench(job, r, size)
+    W = contact_wrench(job, r, size)
     n = row3(matrix(contact + job.at_contact_frame, 3, 3), 0)
     if body not in (first, second) or dot3(tail(W), n) <= 0.0:
         return 0.0
@@ -215,12 +212,12 @@ def _weigh_by_rows(job, r, size, of, contact, count):
 def _add_contact(job, s, way, row, count, r, of, rows, contact, C):
     """Add the change of `count` readings, whose weights are set, with all dofs that move either body of a contact."""
     first, second = _bodies(job, contact)
-    size = _directions(job, contact, of, rows)
+    size = row_directions(job, contact, of, rows)
     _weigh_by_rows(job, r, size, of, contact, count)
-    W = _wrench(job, r, size)
-    V_a = _velocities(job, first, second, vector(job.acc_c, job.nv), matrix(job.before_a, job.nv, 6))
-    V_v = _velocities(job, first, second, vector(job.qvel, job.nv), matrix(job.before_v, job.nv, 6))
-    points = _points(job, contact, first, second)
+    W = contact_wrench(job, r, size)
+    V_a = body_velocities(job, first, second, vector(job.acc_c, job.nv), matrix(job.before_a, job.nv, 6))
+    V_v = body_velocities(job, first, second, vector(job.qvel, job.nv), matrix(job.before_v, job.nv, 6))
+    points = contact_points(job, contact, first, second)
     parent, member = integers(job.dof_parentid, job.nv), integers(job.member, job.nv)
     lastdof, cdof = integers(job.body_lastdof, job.nbody), matrix(job.cdof, job.nv, 6)
     before_a, before_v = matrix(job.before_a, job.nv, 6), matrix(job.before_v, job.nv, 6)
@@ -232,9 +229,9 @@ def _add_contact(job, s, way, row, count, r, of, rows, contact, C):
             if side == 1 or sides == 1:  # a dof that moves both bodies comes up twice
                 S = row6(cdof, i)
                 dp, ddist, phi = contact_motion(job, contact, S, sides)
-                by_a = _rate(S, row6(before_a, i), V_a, sides, points, dp, phi)
-                by_v = _rate(S, row6(before_v, i), V_v, sides, points, dp, phi)
-                push = _force_change(job, r, size, of, contact, by_a, by_v, ddist)
+                by_a = relative_rate(S, row6(before_a, i), V_a, sides, points, dp, phi)
+                by_v = relative_rate(S, row6(before_v, i), V_v, sides, points, dp, phi)
+                push = force_change(job, r, size, of, contact, by_a, by_v, ddist)
                 if way != _PLAIN:
                     push = add6(push, join(cross3(phi, head(W)), cross3(phi, tail(W))))
                 motion = _apart(S, sides, points)
@@ -361,7 +358,7 @@ def _rank(job, contact, reduction):
     r, of, rows = _rows_of(job, contact)
     if r < 0:
         return 0.0
-    W = _wrench(job, r, _directions(job, contact, of, rows))
+    W = contact_wrench(job, r, row_directions(job, contact, of, rows))
     return -dot3(tail(W), tail(W))
 
 
@@ -395,8 +392,8 @@ def _write_geometry(job, field, way, row, contact, C):
     lastdof, parent = integers(job.body_lastdof, job.nbody), integers(job.dof_parentid, job.nv)
     frame, cdof = matrix(contact + job.at_contact_frame, 3, 3), matrix(job.cdof, job.nv, 6)
     before, member = matrix(job.before_v, job.nv, 6), integers(job.member, job.nv)
-    V = _velocities(job, first, second, vector(job.qvel, job.nv), before)
-    points = _points(job, contact, first, second)
+    V = body_velocities(job, first, second, vector(job.qvel, job.nv), before)
+    points = contact_points(job, contact, first, second)
     for side in range(2):
         i = lastdof[second if side == 1 else first]
         while i >= 0:
@@ -411,56 +408,13 @@ def _write_geometry(job, field, way, row, contact, C):
                     change = dp if field == columns.POINT else scale3(1.0 * way, cross3(phi, axis))
                     C[row, i], C[row + 1, i], C[row + 2, i] = change
                 else:
-                    rate, motion = _rate(S, row6(before, i), V, sides, points, dp, phi), _apart(S, sides, points)
+                    rate, motion = (
+                        relative_rate(S, row6(before, i), V, sides, points, dp, phi),
+                        _apart(S, sides, points),
+                    )
                     turns = field == columns.CONTACT_TURN
                     for k in range(3):
                         axis = scale3(-1.0 if k == 2 and way < 0 else 1.0, row3(frame, k))
                         C[row + k, i] = dot3(axis, head(rate) if turns else tail(rate))
                         C[row + k, job.nv + i] = dot3(axis, head(motion) if turns else tail(motion))
             i = parent[i]
-
-
-@compiled
-def write_limit(job, s, kind, row, C, D):
-    """Distance, velocity or force of a joint's or tendon's limit."""
-    wanted, index = integers(job.sen_reference, job.nsensor)[s], integers(job.sen_target, job.nsensor)[s]
-    rows = types.int64(entry_count(job.data + job.at_nefc))
-    kinds = flags(entry_address(job.data + job.at_efc_type), rows)
-    ids = flags(entry_address(job.data + job.at_efc_id), rows)
-    dofs, values = integers(job.dofs, job.nv), vector(job.values, job.nv)
-    clear_rows(C, D, row, 1)
-    clear_lever(job)
-    for r in range(rows):
-        if kinds[r] == wanted and ids[r] == index:
-            size = read_row(job, r, dofs, values)
-            for k in range(size):
-                if kind == columns.LIMIT_POS:
-                    C[row, dofs[k]] = values[k]
-                elif kind == columns.LIMIT_VEL:
-                    C[row, job.nv + dofs[k]] = values[k]
-            if kind == columns.LIMIT_FORCE:
-                _write_limit_force(job, r, size, row, C)
-                add_acceleration(job, row, types.int64(1), C, D)
-            return
-
-
-@compiled
-def _write_limit_force(job, r, size, row, C):
-    rows = r + 1
-    KBIP = matrix(entry_address(job.data + job.at_efc_KBIP), rows, 4)
-    D, jar = (
-        vector(entry_address(job.data + job.at_efc_D), rows),
-        vector(entry_address(job.data + job.at_efc_vel), rows),
-    )
-    pos = vector(entry_address(job.data + job.at_efc_pos), rows)
-    margin = vector(entry_address(job.data + job.at_efc_margin), rows)
-    dofs, values = integers(job.dofs, job.nv), vector(job.values, job.nv)
-    lever = matrix(job.lever, job.nv, 3)
-    if flags(entry_address(job.data + job.at_efc_state), rows)[r] != QUADRATIC:
-        return
-    k, b, imp, slope = KBIP[r, 0], KBIP[r, 1], KBIP[r, 2], KBIP[r, 3]
-    stiffness = k * (slope * (pos[r] - margin[r]) + imp) + slope / (imp * (1.0 - imp)) * jar[r]
-    for n in range(size):
-        C[row, dofs[n]] -= D[r] * stiffness * values[n]
-        C[row, job.nv + dofs[n]] -= D[r] * b * values[n]
-        lever[dofs[n], 0] -= D[r] * values[n]

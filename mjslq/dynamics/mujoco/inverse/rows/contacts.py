@@ -52,16 +52,16 @@ def add_contact(job, r, count, kind, contact, acc, F):
 
     Called for every row of pyramids: only the call for the first row does anything.
     """
-    if flags(contact + job.at_contact_efc_address, 1)[0] != r or not _pushes(job, r, count):
+    if flags(contact + job.at_contact_efc_address, 1)[0] != r or not pushes(job, r, count):
         return
     geoms = flags(contact + job.at_contact_geom, 2)
     body = integers(job.geom_bodyid, job.ngeom)
     bodies = (body[geoms[0]], body[geoms[1]])
-    size = _directions(job, contact, kind, count)
-    W = _wrench(job, r, size)
-    V_a = _velocities(job, bodies[0], bodies[1], acc, matrix(job.before_a, job.nv, 6))
-    V_v = _velocities(job, bodies[0], bodies[1], vector(job.qvel, job.nv), matrix(job.before_v, job.nv, 6))
-    points = _points(job, contact, bodies[0], bodies[1])
+    size = row_directions(job, contact, kind, count)
+    W = contact_wrench(job, r, size)
+    V_a = body_velocities(job, bodies[0], bodies[1], acc, matrix(job.before_a, job.nv, 6))
+    V_v = body_velocities(job, bodies[0], bodies[1], vector(job.qvel, job.nv), matrix(job.before_v, job.nv, 6))
+    points = contact_points(job, contact, bodies[0], bodies[1])
     parent, member = integers(job.dof_parentid, job.nv), integers(job.member, job.nv)
     lastdof = integers(job.body_lastdof, job.nbody)
     for side in range(2):
@@ -78,9 +78,9 @@ def _add_dof(job, r, size, kind, contact, i, sides, V_a, V_v, bodies, points, W,
     """Change of all generalized forces with dof i, which moves body 1 (sides 1), body 2 (sides 2) or both (sides 3)."""
     S = row6(matrix(job.cdof, job.nv, 6), i)
     dp, ddist, phi = contact_motion(job, contact, S, sides)
-    by_a = _rate(S, row6(matrix(job.before_a, job.nv, 6), i), V_a, sides, points, dp, phi)
-    by_v = _rate(S, row6(matrix(job.before_v, job.nv, 6), i), V_v, sides, points, dp, phi)
-    push = _force_change(job, r, size, kind, contact, by_a, by_v, ddist)
+    by_a = relative_rate(S, row6(matrix(job.before_a, job.nv, 6), i), V_a, sides, points, dp, phi)
+    by_v = relative_rate(S, row6(matrix(job.before_v, job.nv, 6), i), V_v, sides, points, dp, phi)
+    push = force_change(job, r, size, kind, contact, by_a, by_v, ddist)
     change = add6(push, join(cross3(phi, head(W)), cross3(phi, tail(W))))
     add_force_change(job, i, i, sides, bodies, points, W, change, (dp, dp), F)
 
@@ -92,22 +92,23 @@ def add_row_change(job, count, kind, contact, x, change):
     body, lastdof = integers(job.geom_bodyid, job.ngeom), integers(job.body_lastdof, job.nbody)
     parent, member = integers(job.dof_parentid, job.nv), integers(job.member, job.nv)
     before = matrix(job.before_a, job.nv, 6)
-    _directions(job, contact, kind, count)
+    row_directions(job, contact, kind, count)
     E = row6(matrix(job.directions, 10, 6), 0)
-    V = _velocities(job, body[geoms[0]], body[geoms[1]], x, before)
-    points = _points(job, contact, body[geoms[0]], body[geoms[1]])
+    V = body_velocities(job, body[geoms[0]], body[geoms[1]], x, before)
+    points = contact_points(job, contact, body[geoms[0]], body[geoms[1]])
     for side in range(2):
         i = lastdof[body[geoms[side]]]
         while i >= 0:
             if side == 1 or member[i] == 1:
                 S = row6(matrix(job.cdof, job.nv, 6), i)
                 dp, _, phi = contact_motion(job, contact, S, member[i])
-                change[i] += dot6(E, _rate(S, row6(before, i), V, member[i], points, dp, phi))
+                change[i] += dot6(E, relative_rate(S, row6(before, i), V, member[i], points, dp, phi))
             i = parent[i]
 
 
 @inlined
-def _pushes(job, r, count):
+def pushes(job, r, count):
+    """Whether any of the rows of a contact is active."""
     states = flags(entry_address(job.data + job.at_efc_state), r + count)
     for k in range(r, r + count):  # noqa: SIM110 -- a plain loop is what numba compiles well
         if states[k] != 0:
@@ -116,7 +117,7 @@ def _pushes(job, r, count):
 
 
 @compiled
-def _directions(job, contact, kind, count):
+def row_directions(job, contact, kind, count):
     """Rows' directions (couple, force) into job.directions; returns their number."""
     E, frame = matrix(job.directions, 10, 6), matrix(contact + job.at_contact_frame, 3, 3)
     dim = flags(contact + job.at_contact_dim, 1)[0]
@@ -135,7 +136,7 @@ def _directions(job, contact, kind, count):
 
 
 @compiled
-def _velocities(job, first, second, x, before):
+def body_velocities(job, first, second, x, before):
     """V = sum S_j x_j of both bodies; V before each dof's group into `before`, who moves whom into job.member."""
     mark_members(job, (first, second))
     return _chain_velocity(job, first, x, before), _chain_velocity(job, second, x, before)
@@ -162,7 +163,7 @@ def _chain_velocity(job, body, x, before):
 
 
 @inlined
-def _points(job, contact, first, second):
+def contact_points(job, contact, first, second):
     """The contact's point relative to the centre of mass of either body's tree."""
     point = vector(contact + job.at_contact_pos, 3)
     p = (point[0], point[1], point[2])
@@ -170,7 +171,7 @@ def _points(job, contact, first, second):
 
 
 @inlined
-def _wrench(job, r, size):
+def contact_wrench(job, r, size):
     """What the contact exerts on body 2, as (couple, force) at its point."""
     E, s = matrix(job.directions, 10, 6), vector(entry_address(job.data + job.at_efc_force), r + size)
     W = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -180,7 +181,7 @@ def _wrench(job, r, size):
 
 
 @inlined
-def _rate(S, before, V, sides, points, dp, phi):
+def relative_rate(S, before, V, sides, points, dp, phi):
     """Change with a dof of body 2's (angular velocity, velocity at p) less body 1's, seen from the turning frame."""
     angular, linear = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if sides & 1:
@@ -195,7 +196,7 @@ def _rate(S, before, V, sides, points, dp, phi):
 
 
 @compiled
-def _force_change(job, r, size, kind, contact, by_a, by_v, ddist):
+def force_change(job, r, size, kind, contact, by_a, by_v, ddist):
     """Sum of E ds over the rows, as (couple, force)."""
     E = matrix(job.directions, 10, 6)
     KBIP = matrix(entry_address(job.data + job.at_efc_KBIP), r + size, 4)
