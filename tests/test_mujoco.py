@@ -254,6 +254,24 @@ def test_report_names_the_parts():
     assert {"integrator Euler", "1 free joints", "1 ball joints", "3 actuators", "2 sensors"} <= set(parts)
 
 
+@pytest.mark.parametrize("jacobian", ["inverse", "transition"])
+def test_report_warns_of_a_constraint_solver_cut_short(jacobian):
+    model = mujoco.MjModel.from_xml_string(FLOATER)
+    model.opt.iterations = 5
+    model.geom_contype[:] = model.geom_conaffinity[:] = 1
+
+    def rows():
+        report = MujocoDynamics.from_model(model, jacobian=jacobian).support_report()
+        return [row for row in report if "solver" in row[0]]
+
+    assert len(rows()) == 1 and rows()[0][0] == "constraint solver Newton, 5 iterations"
+    assert "too few" in rows()[0][1] and "iterations=100" in rows()[0][1]
+    model.opt.iterations = 100
+    assert not rows()
+    model.opt.iterations, model.opt.disableflags = 1, int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    assert not rows()
+
+
 def test_wrong_shapes_are_named():
     dynamics = MujocoDynamics.from_xml(ARM)
     with pytest.raises(ValueError, match=r"x0 must have shape \(5,\), got \(4,\)"):

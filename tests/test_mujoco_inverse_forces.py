@@ -101,6 +101,25 @@ def test_small_swimmers_meet_the_guard_of_implicit_integrators(scale):
     assert_exact(dynamics, some_trajectory(dynamics), tolerance=1e-7)
 
 
+@pytest.mark.parametrize("integrator", CONTINUOUS)
+@pytest.mark.parametrize("child", ["", '<joint name="j" axis="1 .3 0"/>'])
+def test_lone_and_jointed_bodies_in_a_fluid(integrator, child):
+    dynamics = dynamics_of(f"""<mujoco><option timestep=".004" integrator="{integrator}" {models.WATER}/>
+      <worldbody><body><freejoint name="root"/>
+      <geom type="ellipsoid" size=".1 .12 .15" density="200" {models.ELLIPSOID}/>
+      <body pos=".1 0 -.15">{child}<geom size=".05" density="300" {models.ELLIPSOID}/></body></body></worldbody>
+      <actuator><motor joint="root" gear="5 0 9 0 2 0"/></actuator></mujoco>""")
+    assert_exact(dynamics, some_trajectory(dynamics), tolerance=1e-8)
+
+
+@pytest.mark.parametrize("flags", ['spring="disable"', 'damper="disable"', 'spring="disable" damper="disable"'])
+def test_gravity_compensation_ends_with_the_other_passive_forces(flags):
+    dynamics = dynamics_of(f"""<mujoco><option><flag {flags}/></option><worldbody>
+      <body gravcomp="1"><joint name="a" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .4 0 0" size=".04"/></body>
+      </worldbody><actuator><motor joint="a"/></actuator></mujoco>""")
+    assert_exact(dynamics, some_trajectory(dynamics), tolerance=1e-8)
+
+
 def test_fluid_at_rest_and_switched_off():
     dynamics = dynamics_of(models.chain("implicitfast", **models.CLOSED["swimmer"]))
     still = dynamics.rollout(dynamics.initial_state, np.zeros((2, 1)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from mjslq.dynamics.mujoco.inverse.cover import describe, refusals
-from mjslq.dynamics.mujoco.inverse.table.plan import has_contacts
+from mjslq.dynamics.mujoco.inverse.table.plan import can_be_constrained, has_contacts
 
 _JOINT_NAMES = {
     mujoco.mjtJoint.mjJNT_FREE: "free joints",
@@ -19,6 +19,13 @@ _INTEGRATORS = {
     mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast",
     mujoco.mjtIntegrator.mjINT_DISCRETE: "discrete",
 }
+_SOLVERS = {
+    mujoco.mjtSolver.mjSOL_PGS: "PGS",
+    mujoco.mjtSolver.mjSOL_CG: "CG",
+    mujoco.mjtSolver.mjSOL_NEWTON: "Newton",
+}
+_FEW_ITERATIONS = 20
+"""Fewer than that, and the constraint solver is likely to stop short of its tolerance."""
 
 
 def report(model: mujoco.MjModel, differences: str, jacobian: str) -> list[tuple[str, str]]:
@@ -41,11 +48,22 @@ def _parts(model: mujoco.MjModel, differences: str) -> list[tuple[str, str]]:
     rows.append((f"{model.ntendon} tendons", differences) if model.ntendon else ("", ""))
     if not has_contacts(model):
         rows.append(("contacts", "none possible"))
+    if can_be_constrained(model) and model.opt.iterations < _FEW_ITERATIONS:
+        rows.append(_hurried_solver(model))
     if not model.nsensor:
         rows.append(("0 sensors", "none: costs on states and controls only"))
     if model.nmocap:
         rows.append((f"{model.nmocap} mocap bodies", "stay where the model has them"))
     return [row for row in rows if row[0]]
+
+
+def _hurried_solver(model: mujoco.MjModel) -> tuple[str, str]:
+    """Row on a constraint solver that is cut short, whose steps no Jacobian describes."""
+    name, count = _SOLVERS[mujoco.mjtSolver(model.opt.solver)], model.opt.iterations
+    return (
+        f"constraint solver {name}, {count} iteration{'s' if count > 1 else ''}",
+        "too few to converge: the steps then differ from what their Jacobians say; usual is iterations=100",
+    )
 
 
 def _rest(model: mujoco.MjModel, differences: str) -> list[tuple[str, str]]:

@@ -7,7 +7,8 @@ Notation
     X                    from spatial vectors to that frame; V = sum S_i v_i, A = sum S_i a_i, V_i, A_i before i's group
     g(l)                 torque and force of the fluid in that frame (MuJoCo's documentation, "Fluid forces")
     B = dg/dl            and B^, what an implicit integrator takes of it: B but for a guard against division by zero
-                         that slow and small ellipsoids meet, made symmetric by implicitfast
+                         that slow and small ellipsoids meet, made symmetric by implicitfast unless it treats the body
+                         as free and without joints, like implicit
     W = X' g, K = X' B X
 
 Turning a dof i changes l by X P_i, with P_i = (V_i - w) x S_i, and X A by X R_i, with R_i = A_i x S_i. So
@@ -150,7 +151,9 @@ def _add_piece(job, n, K, hat, bend, W, U):
             local[1, r] += X[r, c] * A[b, c]
             by_l[r, c], by_hat[r, c], by_bend[r, c] = 0.0, 0.0, 0.0
     if g >= 0:
-        _ellipsoid(job, prm, local, by_l, by_hat, by_bend)
+        last = integers(job.body_lastdof, job.nbody)[b]
+        free = last >= 0 and integers(job.dof_gyroscopic, job.nv)[last] == 1
+        _ellipsoid(job, prm, local, by_l, by_hat, by_bend, job.symmetric == 1 and not free)
     else:
         _box(prm, local, by_l, by_hat, by_bend)
     for c in range(6):
@@ -230,7 +233,7 @@ def _box(prm, local, by_l, by_hat, by_bend):
 
 
 @compiled
-def _ellipsoid(job, prm, local, by_l, by_hat, by_bend):
+def _ellipsoid(job, prm, local, by_l, by_hat, by_bend, symmetric):
     """Write g, B^ X A and their derivatives of an ellipsoid."""
     work = _complex(job.fluid_complex, 8)
     x, g, B = work[0], work[1], work[2:8]
@@ -247,7 +250,7 @@ def _ellipsoid(job, prm, local, by_l, by_hat, by_bend):
         x[c] = local[0, c]
         for r in range(6):
             for k in range(6):
-                entry = 0.5 * (B[r, k] + B[k, r]) if job.symmetric == 1 else B[r, k]
+                entry = 0.5 * (B[r, k] + B[k, r]) if symmetric else B[r, k]
                 by_hat[r, k] = entry.real
                 by_bend[r, c] += entry.imag / _STEP * local[1, k]
     for r in range(6):

@@ -19,6 +19,7 @@ from mjslq.dynamics.mujoco.inverse.rows.constraints import (
     read_row,
     refer_rows,
 )
+from mjslq.dynamics.mujoco.inverse.rows.pairs import WIDTH
 from mjslq.dynamics.mujoco.inverse.rows.weights import weigh_rows
 from mjslq.dynamics.mujoco.inverse.spatial import compiled
 from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, integers, vector
@@ -38,7 +39,8 @@ def add_differences(job, x, acc, F):
     marked = integers(job.marked, job.nv)
     _mark(job, marked)
     plus, minus, way = vector(job.plus, job.nv), vector(job.minus, job.nv), vector(job.change, job.nv)
-    apart = 2.0 * job.eps if job.centered else job.eps
+    eps = WIDTH * job.eps
+    apart = 2.0 * eps if job.centered else eps
     for i in range(job.nv):
         way[i] = 0.0
     if not job.centered:
@@ -47,10 +49,10 @@ def add_differences(job, x, acc, F):
         if marked[i] == 0:
             continue
         way[i] = 1.0
-        _evaluate_pose(job, x, way, job.eps, acc)
+        _evaluate_pose(job, x, way, eps, acc)
         _sum_forces(job, plus)
         if job.centered:
-            _evaluate_pose(job, x, way, -job.eps, acc)
+            _evaluate_pose(job, x, way, -eps, acc)
             _sum_forces(job, minus)
         way[i] = 0.0
         for j in range(job.nv):

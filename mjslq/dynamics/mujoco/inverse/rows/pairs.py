@@ -27,10 +27,10 @@ from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, 
 MOST = int(mujoco.mjMAXCONPAIR)
 """Contacts that two geoms can have."""
 _DIST, _POS, _NORMAL, _PRECONTACT = 0, 1, 4, 10
-_WIDTH = 0.1
-"""Width of the differences, in units of the job's eps: no solver's noise is in them, and kinks are near."""
-_REACH = 1e3
-"""How far a contact may move and still be the same, in units of eps."""
+WIDTH = 0.1
+"""Width of differences of positions alone, in units of the job's eps: no solver's noise is in them, kinks are near."""
+_REACH, _TURN = 1e3, 1e4
+"""How far a contact, and its normal, may move and still be the same, in units of the width."""
 
 
 @intrinsic
@@ -81,7 +81,7 @@ def fill_by_differences(job, first):
     function = entry_address(job.collision_functions + 8 * (kinds[geoms[0]] * job.geom_types + kinds[geoms[1]]))
     margin = vector(first + job.at_contact_includemargin, 1)[0] + _gap(job, geoms)
     found = matrix(job.found, 2 * MOST, _PRECONTACT)
-    eps = _WIDTH * job.eps
+    eps = WIDTH * job.eps
     for k in range(6):
         plus, minus = 0, 0
         for side in range(2 if job.centered else 1):
@@ -138,8 +138,8 @@ def _difference(job, contact, plus, minus, row):
     """Write a row of a contact's table: (ddist, dp, dn), or nan where the contact is found on neither side."""
     dist, pos = vector(contact + job.at_contact_dist, 1), vector(contact + job.at_contact_pos, 3)
     frame = vector(contact + job.at_contact_frame, 9)
-    eps = _WIDTH * job.eps
-    p, m = _nearest(plus, pos, frame, _REACH * eps), _nearest(minus, pos, frame, _REACH * eps)
+    eps = WIDTH * job.eps
+    p, m = _nearest(plus, pos, frame, eps), _nearest(minus, pos, frame, eps)
     apart = 1.0 / ((eps if p >= 0 else 0.0) + (eps if m >= 0 else 0.0))
     for c in range(7):
         here = dist[0] if c == 0 else pos[c - 1] if c < 4 else frame[c - 4]
@@ -147,15 +147,15 @@ def _difference(job, contact, plus, minus, row):
 
 
 @compiled
-def _nearest(found, pos, frame, reach):
+def _nearest(found, pos, frame, eps):
     """Which of the contacts found is the one at `pos`; -1 when none is within reach."""
-    best, least = -1, reach * reach
+    best, least, most = -1, (_REACH * eps) ** 2, (_TURN * eps) ** 2
     for k in range(found.shape[0]):
         square, turned = 0.0, 0.0
         for c in range(3):
             square += (found[k, _POS + c] - pos[c]) ** 2
             turned += (found[k, _NORMAL + c] - frame[c]) ** 2
-        if square < least and turned < reach * reach:
+        if square < least and turned < most:
             best, least = k, square
     return best
 

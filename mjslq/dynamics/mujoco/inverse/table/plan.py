@@ -59,14 +59,20 @@ def plan(model: mujoco.MjModel) -> Table:
         "site_bodyid": model.site_bodyid, "body_gravcomp": model.body_gravcomp, "dof_treeid": model.dof_treeid,
         "gravity": np.zeros(3) if disabled(model, OFF.mjDSBL_GRAVITY) else model.opt.gravity,
     }  # fmt: skip
-    compensates = bool(model.body_gravcomp.any()) and bool(np.any(table["gravity"]))
-    table["compensated"] = int(compensates)
+    table["compensated"] = int(is_compensated(model))
     table |= _equalities(model)
     table["constrained"], table["sparse"] = int(can_be_constrained(model)), int(mujoco.mj_isSparse(model))
     table |= _geoms(model)
     table |= _groups(model) | _springs(model) | tendons(model) | _actuators(model) | _gyroscopic(model)
     table |= _metric(model, table)
     return arrays(table)
+
+
+def is_compensated(model: mujoco.MjModel) -> bool:
+    """Whether gravity is compensated; without springs and dampers MuJoCo leaves out all passive forces."""
+    passive = not (disabled(model, OFF.mjDSBL_SPRING) and disabled(model, OFF.mjDSBL_DAMPER))
+    weighs = not disabled(model, OFF.mjDSBL_GRAVITY) and bool(model.opt.gravity.any())
+    return passive and weighs and bool(model.body_gravcomp.any())
 
 
 def arrays(table: dict[str, Any]) -> Table:
