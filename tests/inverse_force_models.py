@@ -169,10 +169,13 @@ def sticky(integrator: str) -> str:
 
 SLIDES = {
     "damper": ('<spatial damping="3"><site site="w"/><site site="s"/></spatial>', ""),
-    "nonlinear damper": ('<fixed damping="3 1 .5"><joint joint="x"/><joint joint="y" coef="-.7"/></fixed>', ""),
+    "nonlinear damper": (
+        '<fixed damping="3 1 .5"><joint joint="x" coef="1"/><joint joint="y" coef="-.7"/></fixed>',
+        "",
+    ),
     "servo": ("", '<general site="s" refsite="w" gear="1 .5 .3 0 0 0" biastype="affine" biasprm="0 -1 -2"/>'),
     "motor": (
-        '<fixed name="t"><joint joint="x"/><joint joint="y" coef="-.7"/></fixed>',
+        '<fixed name="t"><joint joint="x" coef="1"/><joint joint="y" coef="-.7"/></fixed>',
         '<dcmotor tendon="t" motorconst="1" resistance=".5" input="pos vel" controller="0 0 5"/>',
     ),
 }

@@ -49,6 +49,15 @@ def test_ties_of_bodies_that_turn_about_their_centres_are_left_to_transition(tie
     assert MujocoDynamics.from_model(model).jacobian == "inverse"
 
 
+def test_older_convex_collisions_are_left_to_transition():
+    model = mujoco.MjModel.from_xml_string(xml().replace('size="0.1"', 'type="cylinder" size="0.1 0.1"'))
+    assert MujocoDynamics.from_model(model).jacobian == "inverse"
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_NATIVECCD
+    assert MujocoDynamics.from_model(model).jacobian == "transition"
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
+    assert MujocoDynamics.from_model(model).jacobian == "inverse"
+
+
 def test_ipc_contacts_are_refused():
     model = mujoco.MjModel.from_xml_string(xml())
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_IPC

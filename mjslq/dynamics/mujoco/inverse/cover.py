@@ -139,6 +139,16 @@ def _beyond_the_metric(model: mujoco.MjModel) -> bool:
     return bool(not plain or open_ or spatial or in_fluid(model))
 
 
+def _turns_with_the_world(model: mujoco.MjModel) -> bool:
+    """Whether contacts depend on more than how their geoms lie to each other.
+
+    MuJoCo's older convex collisions find further contacts by tilting the geoms about axes fixed in the world.
+    """
+    older = disabled(model, OFF.mjDSBL_NATIVECCD) and not disabled(model, OFF.mjDSBL_MULTICCD)
+    convex = np.isin(model.geom_type, [GEOM.mjGEOM_CYLINDER, GEOM.mjGEOM_ELLIPSOID, GEOM.mjGEOM_MESH]).any()
+    return bool(older and convex and has_contacts(model))
+
+
 def _weightless(model: mujoco.MjModel) -> bool:
     """Whether a connect or weld constraint is infinitely stiff, since no force moves its bodies' centres."""
     if not can_be_constrained(model) or disabled(model, OFF.mjDSBL_EQUALITY):
@@ -198,6 +208,7 @@ _REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
     (lambda m: disabled(m, OFF.mjDSBL_ACTUATION), "its actuators are disabled"),
     (_odd_drag, "it has actuators with damping or armature that is not a hinge's, slide's or tendon's"),
     (_beyond_the_metric, "the discrete integrator takes forces implicitly that have no closed form here"),
+    (_turns_with_the_world, "multiple contacts of convex geoms are found without nativeccd"),
     (_weightless, "its connect or weld constraints are on bodies without inverse weight, too stiff for the solver"),
     (_dragged_apart, "implicitfast neglects how a fluid couples the slides of simple bodies"),
     (_feels_discrete_rows, "its sensors feel constraint forces, which the discrete integrator weighs by the state"),
