@@ -165,3 +165,26 @@ def sticky(integrator: str) -> str:
         <body pos="0 0 .1"><joint name="j" axis="0 1 0"/><geom size=".05" pos=".1 0 .1" contype="0"/></body></body>
     </worldbody>
     <actuator><adhesion body="ball" gain="3" ctrlrange="0 1"/><motor joint="j" gear=".1"/></actuator></mujoco>"""
+
+
+SLIDES = {
+    "damper": ('<spatial damping="3"><site site="w"/><site site="s"/></spatial>', ""),
+    "nonlinear damper": (
+        '<fixed damping="3 1 .5"><joint joint="x" coef="1"/><joint joint="y" coef="-.7"/></fixed>',
+        "",
+    ),
+    "servo": ("", '<general site="s" refsite="w" gear="1 .5 .3 0 0 0" biastype="affine" biasprm="0 -1 -2"/>'),
+    "motor": (
+        '<fixed name="t"><joint joint="x" coef="1"/><joint joint="y" coef="-.7"/></fixed>',
+        '<dcmotor tendon="t" motorconst="1" resistance=".5" input="pos vel" controller="0 0 5"/>',
+    ),
+}
+
+
+def sliding(case: str, integrator: str = "Euler") -> str:
+    """A body on slides only, whose inertia MuJoCo keeps diagonal, with velocities that feel each other."""
+    tendon, actuator = SLIDES[case]
+    return f"""<mujoco><option timestep=".01" integrator="{integrator}"/><worldbody><site name="w" pos=".3 .2 .1"/>
+      <body><joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
+        <geom size=".1" mass="1" contype="0" conaffinity="0"/><site name="s"/></body></worldbody>
+      <tendon>{tendon}</tendon><actuator><motor joint="x"/>{actuator}</actuator></mujoco>"""

@@ -147,3 +147,24 @@ def test_equality_constraints(tie):
 def test_equality_constraints_far_from_satisfied(tie, spread, speed):
     xml = models.tied(tie, "implicitfast", "dense", 'solimp=".3 .9 1.5"')
     assert_exact(xml, N=1, spread=spread, speed=speed, widths=(1e-5, 1e-6))
+
+
+CROSSED = """<mujoco><option timestep=".005"/><worldbody>
+  <body><joint name="a" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .4 0 0" size=".04"/></body>
+  <body pos="0 0 -.2"><joint axis="0 1 0"/><geom type="capsule" fromto="0 0 0 {}" size=".03"/></body>
+  </worldbody><actuator><motor joint="a"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("end", [".2 0 .5", ".25 0 .4"])
+def test_limbs_that_cross_in_a_plane(end):
+    assert_exact(CROSSED.format(end), N=1, spread=0.05, speed=0.3, tolerance=1e-6)
+
+
+def test_concentric_spheres_leave_no_trace_of_their_missing_normal():
+    xml = """<mujoco><worldbody>
+      <body><joint name="a" axis="0 1 0"/><geom size=".05" mass="1"/><geom pos=".1 0 0" size=".01"/></body>
+      <body><joint type="slide" axis="1 0 0"/><geom size=".03" mass="1"/></body></worldbody>
+      <actuator><motor joint="a"/></actuator></mujoco>"""
+    dynamics = MujocoDynamics.from_xml(xml, jacobian="inverse", threads=1)
+    trajectory = dynamics.rollout(np.array([0.1, 0.0, 0.0, 0.0]), np.zeros((1, 1)))
+    assert np.isfinite(dynamics.linearize(trajectory).A).all()

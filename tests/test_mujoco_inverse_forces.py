@@ -13,6 +13,7 @@ from test_mujoco_inverse import assert_exact, dynamics_of, some_trajectory
 
 from mjslq.dynamics._base import compare_jacobians, fine_reference
 from mjslq.dynamics.mujoco import MujocoDynamics
+from mjslq.dynamics.mujoco.inverse.cover import refusals
 from mjslq.dynamics.mujoco.inverse.forces.muscles import muscle_bias, muscle_gain, muscle_rate
 from mjslq.dynamics.mujoco.inverse.forces.remainder import remainder
 from mjslq.dynamics.mujoco.inverse.readings.outputs import sensors
@@ -110,6 +111,20 @@ def test_lone_and_jointed_bodies_in_a_fluid(integrator, child):
       <body pos=".1 0 -.15">{child}<geom size=".05" density="300" {models.ELLIPSOID}/></body></body></worldbody>
       <actuator><motor joint="root" gear="5 0 9 0 2 0"/></actuator></mujoco>""")
     assert_exact(dynamics, some_trajectory(dynamics), tolerance=1e-8)
+
+
+@pytest.mark.parametrize("integrator", CONTINUOUS)
+@pytest.mark.parametrize("slide", models.SLIDES)
+def test_slides_of_simple_bodies(slide, integrator):
+    dynamics = dynamics_of(models.sliding(slide, integrator))
+    assert (dynamics.model.dof_simplenum[:2] > 0).all()
+    assert_exact(dynamics, some_trajectory(dynamics), tolerance=2e-8)
+
+
+def test_simple_bodies_in_a_fluid_are_refused_where_the_integrator_neglects_couplings():
+    water = 'integrator="implicitfast" density="1000"'
+    model = mujoco.MjModel.from_xml_string(models.sliding("damper").replace('integrator="Euler"', water))
+    assert any("simple bodies" in reason for reason in refusals(model))
 
 
 @pytest.mark.parametrize("flags", ['spring="disable"', 'damper="disable"', 'spring="disable" damper="disable"'])

@@ -34,6 +34,30 @@ def test_models_that_hold_more_than_the_state_are_refused(text, reason):
         MujocoDynamics.from_xml(text)
 
 
+@pytest.mark.parametrize("tie", ["connect", "weld"])
+def test_ties_of_bodies_that_turn_about_their_centres_are_left_to_transition(tie):
+    wheel = '<body name="{0}" pos="0 {1} 0"><joint name="{0}" axis="0 1 0"/><geom size=".1"/></body>'
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody>{wheel.format("a", 0)}{wheel.format("b", 1)}</worldbody>
+        <equality><{tie} body1="a" body2="b" anchor=".1 0 0"/></equality><actuator><motor joint="a"/></actuator>
+        </mujoco>"""
+    )
+    assert MujocoDynamics.from_model(model).jacobian == "transition"
+    with pytest.raises(ValueError, match="without inverse weight"):
+        MujocoDynamics.from_model(model, jacobian="inverse")
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EQUALITY
+    assert MujocoDynamics.from_model(model).jacobian == "inverse"
+
+
+def test_older_convex_collisions_are_left_to_transition():
+    model = mujoco.MjModel.from_xml_string(xml().replace('size="0.1"', 'type="cylinder" size="0.1 0.1"'))
+    assert MujocoDynamics.from_model(model).jacobian == "inverse"
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_NATIVECCD
+    assert MujocoDynamics.from_model(model).jacobian == "transition"
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
+    assert MujocoDynamics.from_model(model).jacobian == "inverse"
+
+
 def test_ipc_contacts_are_refused():
     model = mujoco.MjModel.from_xml_string(xml())
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_IPC

@@ -173,9 +173,10 @@ def complete_inertia(job):
     assign(M_hat, M)
     if job.implicit == 2:
         # MuJoCo keeps of T what fits into the pattern of M: pairs of dofs on one branch
+        lone = integers(job.dof_lone, job.nv)
         for i in range(job.nv):
             M_hat[i, i] -= job.h * T[i, i]
-            j = dof_parentid[i]
+            j = dof_parentid[i] if lone[i] == 0 else -1
             while j >= 0:
                 M_hat[i, j] -= job.h * T[i, j]
                 M_hat[j, i] -= job.h * T[j, i]

@@ -34,13 +34,16 @@ from mjslq.dynamics.mujoco.inverse.table.plan import (
     has_contacts,
     implicit_level,
     joint_of,
+    lone_dofs,
     tendon_dofs,
     tendons,
+    tied_bodies,
 )
 
 _OWN = "differences of their own forces"
 _ARMS = "analytic along moment arms that are differenced"
 _POSITIONS = "by position differences of positions alone"
+_NO_WEIGHT = 1e-10
 _POSES = "but for how the contact itself moves: differences in the six relative motions of its geoms"
 
 
@@ -142,6 +145,34 @@ def _beyond_the_metric(model: mujoco.MjModel) -> bool:
     return bool(not plain or open_ or spatial or in_fluid(model))
 
 
+def _turns_with_the_world(model: mujoco.MjModel) -> bool:
+    """Whether contacts depend on more than how their geoms lie to each other.
+
+    MuJoCo's older convex collisions find further contacts by tilting the geoms about axes fixed in the world.
+    """
+    older = disabled(model, OFF.mjDSBL_NATIVECCD) and not disabled(model, OFF.mjDSBL_MULTICCD)
+    convex = np.isin(model.geom_type, [GEOM.mjGEOM_CYLINDER, GEOM.mjGEOM_ELLIPSOID, GEOM.mjGEOM_MESH]).any()
+    return bool(older and convex and has_contacts(model))
+
+
+def _weightless(model: mujoco.MjModel) -> bool:
+    """Whether a connect or weld constraint is infinitely stiff, since no force moves its bodies' centres."""
+    if not can_be_constrained(model) or disabled(model, OFF.mjDSBL_EQUALITY):
+        return False
+    for e in np.flatnonzero(np.isin(model.eq_type, [EQ.mjEQ_CONNECT, EQ.mjEQ_WELD])):
+        bodies = tied_bodies(model, int(e))
+        weights = model.body_invweight0[bodies].sum(axis=0)[: 2 if model.eq_type[e] == EQ.mjEQ_WELD else 1]
+        if model.body_weldid[bodies].any() and (weights < _NO_WEIGHT).any():
+            return True
+    return False
+
+
+def _dragged_apart(model: mujoco.MjModel) -> bool:
+    """Whether a fluid couples dofs that the integrator takes one by one."""
+    bodies = model.dof_bodyid[lone_dofs(model)]
+    return in_fluid(model) and len(set(bodies.tolist())) < len(bodies)
+
+
 def _feels_discrete_rows(model: mujoco.MjModel) -> bool:
     """Whether sensors read forces of rows whose weights depend on the state."""
     if implicit_level(model) != 3 or not can_be_constrained(model):
@@ -183,6 +214,9 @@ _REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
     (lambda m: disabled(m, OFF.mjDSBL_ACTUATION), "its actuators are disabled"),
     (_odd_drag, "it has actuators with damping or armature that is not a hinge's, slide's or tendon's"),
     (_beyond_the_metric, "the discrete integrator takes forces implicitly that have no closed form here"),
+    (_turns_with_the_world, "multiple contacts of convex geoms are found without nativeccd"),
+    (_weightless, "its connect or weld constraints are on bodies without inverse weight, too stiff for the solver"),
+    (_dragged_apart, "implicitfast neglects how a fluid couples the slides of simple bodies"),
     (_feels_discrete_rows, "its sensors feel constraint forces, which the discrete integrator weighs by the state"),
     (_heavy_tendon, "it has tendons with armature that are spatial or run between branches"),
     (

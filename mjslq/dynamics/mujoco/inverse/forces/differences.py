@@ -178,10 +178,13 @@ def _damp(job, acc, out):
     """out[nv:] += T a."""
     size, first = integers(job.D_rownnz, job.nv), integers(job.D_rowadr, job.nv)
     dofs, entries = integers(job.D_colind, job.nD), vector(job.qDeriv, job.nD)
+    lone = integers(job.dof_lone, job.nv)
     nv = job.nv
     for i in range(nv):
         for k in range(first[i], first[i] + size[i]):
             j = dofs[k]
+            if lone[i] == 1 and j != i:
+                continue
             if job.symmetric == 0 or j <= i:
                 out[nv + i] += entries[k] * acc[j]
             if job.symmetric == 1 and j < i:

@@ -35,6 +35,7 @@ from mjslq.dynamics.mujoco.inverse.table.plan import (
     WRAP,
     implicit_level,
     joint_of,
+    lone_dofs,
     tendon_dofs,
     tendons,
 )
@@ -104,8 +105,13 @@ def _is_slack(model: mujoco.MjModel, t: int) -> bool:
 
 
 def on_one_branch(model: mujoco.MjModel, dofs: Any) -> bool:
-    """Whether all of `dofs` lie on the way from one of them to the world."""
-    return len(dofs) == 0 or set(dofs.tolist()) <= ancestors(model, int(np.max(dofs)))
+    """Whether all of `dofs` lie on the way from one of them to the world, as far as an implicit integrator sees."""
+    return len(dofs) == 0 or set(dofs.tolist()) <= coupled_dofs(model, int(np.max(dofs)))
+
+
+def coupled_dofs(model: mujoco.MjModel, i: int) -> set[int]:
+    """Dof i, and those on its way to the world that an implicit integrator couples it with."""
+    return {i} if lone_dofs(model)[i] else ancestors(model, i)
 
 
 def ancestors(model: mujoco.MjModel, i: int) -> set[int]:

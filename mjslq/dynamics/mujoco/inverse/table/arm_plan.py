@@ -9,7 +9,7 @@ import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.forces.remainder import (
     Remainder,
-    ancestors,
+    coupled_dofs,
     driven_dofs,
     touched_dofs,
 )
@@ -78,6 +78,6 @@ def _straight_pieces(model: mujoco.MjModel, tendon: int, out: int) -> list[tuple
 
 def _branches(model: mujoco.MjModel, dofs: list[int]) -> Any:
     """Whether each two of `dofs` lie on one branch, flattened."""
-    above = [ancestors(model, i) for i in dofs]
+    above = [coupled_dofs(model, i) for i in dofs]
     pairs = [(i in of_j or j in of_i) for i, of_i in zip(dofs, above) for j, of_j in zip(dofs, above)]  # noqa: B905
     return np.array(pairs, np.int64)

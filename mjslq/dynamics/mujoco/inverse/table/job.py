@@ -47,7 +47,7 @@ INTEGERS = (
     "sen_reduction", "act_tendon", "site_type", "eq_kind", "eq_body", "eq_first", "eq_dof", "rest_q", "rest_v",
     "rest_act", "rest_u", "rest_next", "D_rownnz", "D_rowadr", "D_colind", "ten_constant", "arm_q", "arm_tendon",
     "arm_out", "arm_row", "act_arm", "arm_first", "arm_dof", "arm_at", "arm_branch", "fluid_body", "fluid_geom",
-    "arm_straight", "piece_arm", "piece_from", "piece_to", "site_bodyid",
+    "arm_straight", "piece_arm", "piece_from", "piece_to", "site_bodyid", "dof_lone",
 )  # fmt: skip
 NUMBERS = (
     "dof_armature", "dof_damping", "dof_force_range", "body_gravcomp", "spring_prm", "ball_prm", "ten_coef",

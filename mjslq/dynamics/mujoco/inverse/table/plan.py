@@ -64,6 +64,7 @@ def plan(model: mujoco.MjModel) -> Table:
     table["constrained"], table["sparse"] = int(can_be_constrained(model)), int(mujoco.mj_isSparse(model))
     table |= _geoms(model)
     table |= _groups(model) | _springs(model) | tendons(model) | _actuators(model) | _gyroscopic(model)
+    table["dof_lone"] = lone_dofs(model)
     table |= _metric(model, table)
     return arrays(table)
 
@@ -207,6 +208,11 @@ def _equalities(model: mujoco.MjModel) -> dict[str, Any]:
         "neq": model.neq, "bodies_tied": int(tied.any()), "eq_kind": kind, "eq_body": bodies, "tie_prm": places,
         "eq_prm": np.column_stack([model.eq_data[:, :5], rest]),
     } | _lists("eq", paths)  # fmt: skip
+
+
+def tied_bodies(model: mujoco.MjModel, e: int) -> Any:
+    """Bodies that a connect or weld constraint holds on to."""
+    return _places(model, e)[0]
 
 
 def _places(model: mujoco.MjModel, e: int) -> tuple[Any, Any]:
@@ -413,3 +419,14 @@ def _gyroscopic(model: mujoco.MjModel) -> dict[str, Any]:
             if not (model.dof_parentid[first + 6 :] == first + 5).any():
                 marked[first : first + 6] = 1
     return {"dof_gyroscopic": marked, "gyroscopic": int(marked.any())}
+
+
+def lone_dofs(model: mujoco.MjModel) -> Any:
+    """Dofs that implicitfast couples with no others of their branch.
+
+    It keeps of df/dv what fits into the pattern of M, which is diagonal for bodies that MuJoCo calls simple; those of
+    free bodies it treats like implicit.
+    """
+    if model.opt.integrator != INT.mjINT_IMPLICITFAST:
+        return np.zeros(model.nv, bool)
+    return (model.dof_simplenum > 0) & (_gyroscopic(model)["dof_gyroscopic"] == 0)
