@@ -41,7 +41,7 @@ from mjslq.dynamics.mujoco.inverse.table.plan import (
 )
 
 _OWN = "differences of their own forces"
-_ARMS = "analytic along moment arms that are differenced"
+_ARMS = "analytic; moment arms that are no straight lines by differences"
 _POSITIONS = "by position differences of positions alone"
 _NO_WEIGHT = 1e-10
 _POSES = "but for how the contact itself moves: differences in the six relative motions of its geoms"
@@ -65,9 +65,13 @@ def describe(model: mujoco.MjModel) -> list[tuple[str, str]]:
     if has_contacts(model):
         rows.append(("contacts that planes and spheres make, capsules with capsules", "analytic"))
         rows.append(("other contacts", f"analytic, {_POSES}"))
-        if (model.geom_type == GEOM.mjGEOM_SDF).any():
+        if _has_distance_fields(model):
             rows.append(("contacts of signed distance fields", f"analytic by velocity and control; {_POSITIONS}"))
     return rows
+
+
+def _has_distance_fields(model: mujoco.MjModel) -> bool:
+    return has_contacts(model) and bool((model.geom_type == GEOM.mjGEOM_SDF).any())
 
 
 def _served_equalities(model: mujoco.MjModel) -> str:
@@ -105,8 +109,8 @@ def _describe_sensors(model: mujoco.MjModel) -> list[tuple[str, str]]:
     kinds, rows = sensors(model)["sen_kind"], []
     closed = kinds > columns.CONSTANT
     if closed.any():
-        on_contacts = (kinds >= columns.FORCE).any() and has_contacts(model)
-        rest = f"; of those on contacts of other shapes, {_POSITIONS}" if on_contacts else ""
+        on_contacts = (kinds >= columns.FORCE).any() and _has_distance_fields(model)
+        rest = f"; of those on contacts of signed distance fields, {_POSITIONS}" if on_contacts else ""
         rows.append((f"{int(closed.sum())} sensors", f"outputs y; their Jacobians analytic{rest}"))
     for chosen, served in (
         (kinds == columns.CONSTANT, "which no state or control changes"),
