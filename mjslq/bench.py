@@ -90,7 +90,7 @@ class Row:
 CASES: dict[str, Callable[[], Problem]] = {
     "hopper": lambda: problems.get("hopper"),
     "panda_reach": lambda: problems.get("panda_reach"),
-    "panda_reach, pinocchio": lambda: problems.get("panda_reach", engine="pinocchio"),
+    "panda_reach on pinocchio": lambda: problems.get("panda_reach", engine="pinocchio"),
     "solo12 in flight": lambda: _solo12_in_flight(),
     "solo12 on its feet": lambda: problems.get("solo12_stand"),
     "g1 on its feet": lambda: problems.get("g1_reach"),

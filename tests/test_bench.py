@@ -31,7 +31,7 @@ def test_a_row_holds_positive_times_and_their_ratios():
 
 
 def test_other_engines_have_no_bare_calls():
-    row = bench.run("panda_reach, pinocchio")
+    row = bench.run("panda_reach on pinocchio")
     assert row.engine == "pinocchio" and row.bare == {}
     assert row.ratio_to_bare is None and row.ratio_to_calls is None and row.ratio_of_jacobians is None
 
