@@ -53,18 +53,20 @@ class BoundTerm(ABC):
     def cost(self, trajectory: Trajectory) -> float:
         """Sum of the term over the knots."""
 
-    def prepare(self, into: Expansion) -> None:  # noqa: B027  (often nothing)
-        """Add what is the same along every trajectory."""
+    def prepare(self, into: Expansion) -> None:
+        """Add what is the same along every trajectory: often nothing."""
+        return
 
     @abstractmethod
     def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
         """Add the rest of gradient and (Gauss-Newton) Hessian to `into`."""
 
-    def complete(self, trajectory: Trajectory, into: Expansion, weights: Array) -> None:  # noqa: B027  (often nothing)
+    def complete(self, trajectory: Trajectory, into: Expansion, weights: Array) -> None:
         """Add what `expand` leaves out of the Hessian: here to `into`, or for outputs dJ/dy to `weights` (N + 1, ny).
 
         Left out for good: the curvature of difference() for states and readings that are rotations.
         """
+        return
 
 
 class StateTerm(BoundTerm):

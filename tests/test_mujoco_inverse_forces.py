@@ -18,7 +18,7 @@ from mjslq.dynamics.mujoco.inverse.forces.muscles import muscle_bias, muscle_gai
 from mjslq.dynamics.mujoco.inverse.forces.remainder import remainder
 from mjslq.dynamics.mujoco.inverse.readings.outputs import sensors
 from mjslq.dynamics.mujoco.inverse.table import columns
-from mjslq.dynamics.mujoco.inverse.table.plan import plan
+from mjslq.dynamics.mujoco.inverse.table.actuator_plan import actuator_table
 from mjslq.trajectory import Trajectory
 
 
@@ -204,7 +204,7 @@ NUMBER = st.floats(-0.2, 1.2, allow_subnormal=False)
 @given(NUMBER, st.floats(-2.0, 2.0), NUMBER, NUMBER)
 def test_muscles_are_those_of_mujoco(length, velocity, u, a):
     model = mujoco.MjModel.from_xml_string(models.chain("Euler", models.MUSCLES))
-    prm = plan(model)["act_muscle"]
+    prm = actuator_table(model)["act_muscle"]
     given_range, acc0 = model.actuator_lengthrange, model.actuator_acc0
     for i in (1, 2):
         ours = muscle_gain(prm[i], length, velocity)[0], muscle_bias(prm[i], length)[0]

@@ -31,13 +31,13 @@ from mjslq.dynamics.mujoco.library import library_path
 llvmlite.binding.load_library_permanently(library_path())
 
 _address, _number, _void = types.intp, types.float64, types.void
-mj_resetData = types.ExternalFunction("mj_resetData", _void(_address, _address))  # noqa: N816
+mj_resetData = types.ExternalFunction("mj_resetData", _void(_address, _address))
 mj_step = types.ExternalFunction("mj_step", _void(_address, _address))
 mj_forward = types.ExternalFunction("mj_forward", _void(_address, _address))
-mj_differentiatePos = types.ExternalFunction(  # noqa: N816
+mj_differentiatePos = types.ExternalFunction(
     "mj_differentiatePos", _void(_address, _address, _number, _address, _address)
 )
-mjd_transitionFD = types.ExternalFunction(  # noqa: N816
+mjd_transitionFD = types.ExternalFunction(
     "mjd_transitionFD", _void(_address, _address, _number, types.uint8, _address, _address, _address, _address)
 )
 

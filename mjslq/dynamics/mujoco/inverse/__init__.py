@@ -22,10 +22,11 @@ rows/               constraint rows
 
 readings/           sensors
     motions, frames     of positions, velocities, forces of actuators
-    accelerations, pressures, limits    of accelerations, contacts, limits
+    accelerations, limits    of accelerations, of limits
+    pressures, contact_sensors    of what contacts exert, and of contacts themselves
     stages, outputs     by differences of their own stage; which sensor is served how
 
 table/              what the kernel is told about a model
-    plan, arm_plan, fluid_plan    from the model to arrays
+    plan, actuator_plan, arm_plan, fluid_plan    from the model to arrays
     job, columns, layout          records and columns; where MuJoCo keeps what
 """

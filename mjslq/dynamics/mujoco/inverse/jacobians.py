@@ -15,6 +15,7 @@ from mjslq.dynamics._base import Linearization
 from mjslq.dynamics.mujoco import kernels
 from mjslq.dynamics.mujoco.inverse.forces.remainder import covered_part, remainder, rest_part, rest_table
 from mjslq.dynamics.mujoco.inverse.readings.outputs import sensors
+from mjslq.dynamics.mujoco.inverse.table.actuator_plan import actuator_table, metric_table
 from mjslq.dynamics.mujoco.inverse.table.arm_plan import arm_table
 from mjslq.dynamics.mujoco.inverse.table.fluid_plan import fluid_table
 from mjslq.dynamics.mujoco.inverse.table.job import INDICES, JOB, VIEWS, WORK
@@ -34,8 +35,11 @@ class InverseJacobians:
         model = horizon.model
         rest = remainder(model)
         self._rest = rest_part(model, rest) if rest.exists else None
-        self._table = plan(covered_part(model, rest)) | arrays(
-            sensors(model)
+        part = covered_part(model, rest)
+        table = plan(part) | arrays(actuator_table(part))
+        self._table = table | arrays(
+            metric_table(part, table)
+            | sensors(model)
             | fluid_table(model)
             | arm_table(model, rest)
             | rest_table(model, rest)

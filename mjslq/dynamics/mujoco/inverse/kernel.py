@@ -43,9 +43,7 @@ from mjslq.dynamics.mujoco.kernels import (
     mj_resetData,
 )
 
-mjd_quatIntegrate = types.ExternalFunction(  # noqa: N816
-    "mjd_quatIntegrate", _void(_address, _number, _address, _address, _address)
-)
+mjd_quatIntegrate = types.ExternalFunction("mjd_quatIntegrate", _void(_address, _number, _address, _address, _address))
 
 
 @compiled

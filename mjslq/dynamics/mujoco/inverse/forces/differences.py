@@ -27,10 +27,10 @@ from mjslq.dynamics.mujoco.kernels import _address, _copy, _void
 _step = _void(_address, _address)
 mj_transmission = types.ExternalFunction("mj_transmission", _step)
 mj_passive = types.ExternalFunction("mj_passive", _step)
-mj_fwdActuation = types.ExternalFunction("mj_fwdActuation", _step)  # noqa: N816
-mj_Euler = types.ExternalFunction("mj_Euler", _step)  # noqa: N816
+mj_fwdActuation = types.ExternalFunction("mj_fwdActuation", _step)
+mj_Euler = types.ExternalFunction("mj_Euler", _step)
 mjd_smooth_vel = types.ExternalFunction("mjd_smooth_vel", _void(_address, _address, types.int32))
-mju_mulMatVecSparse = types.ExternalFunction(  # noqa: N816
+mju_mulMatVecSparse = types.ExternalFunction(
     "mju_mulMatVecSparse",
     _void(_address, _address, _address, types.int32, _address, _address, _address, _address),
 )

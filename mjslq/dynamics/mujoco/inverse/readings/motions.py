@@ -31,9 +31,10 @@ from mjslq.dynamics.mujoco.inverse.readings.accelerations import (
     clear_lever,
     write_acceleration,
 )
+from mjslq.dynamics.mujoco.inverse.readings.contact_sensors import write_contacts
 from mjslq.dynamics.mujoco.inverse.readings.frames import clear_rows, is_below, moves, pose
 from mjslq.dynamics.mujoco.inverse.readings.limits import write_limit
-from mjslq.dynamics.mujoco.inverse.readings.pressures import add_pressures, write_contacts
+from mjslq.dynamics.mujoco.inverse.readings.pressures import add_pressures
 from mjslq.dynamics.mujoco.inverse.readings.stages import difference_stages
 from mjslq.dynamics.mujoco.inverse.rigid import inward, outward
 from mjslq.dynamics.mujoco.inverse.rows.constraints import evaluate_rows

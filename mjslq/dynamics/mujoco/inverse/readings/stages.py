@@ -36,16 +36,16 @@ from mjslq.dynamics.mujoco.kernels import _address, _copy, _void
 _step = _void(_address, _address)
 mj_camlight = types.ExternalFunction("mj_camlight", _step)
 mj_transmission = types.ExternalFunction("mj_transmission", _step)
-mj_makeM = types.ExternalFunction("mj_makeM", _step)  # noqa: N816
-mj_energyPos = types.ExternalFunction("mj_energyPos", _step)  # noqa: N816
-mj_energyVel = types.ExternalFunction("mj_energyVel", _step)  # noqa: N816
-mj_fwdVelocity = types.ExternalFunction("mj_fwdVelocity", _step)  # noqa: N816
-mj_fwdActuation = types.ExternalFunction("mj_fwdActuation", _step)  # noqa: N816
-mj_rnePostConstraint = types.ExternalFunction("mj_rnePostConstraint", _step)  # noqa: N816
-mj_subtreeVel = types.ExternalFunction("mj_subtreeVel", _step)  # noqa: N816
-mj_sensorPos = types.ExternalFunction("mj_sensorPos", _step)  # noqa: N816
-mj_sensorVel = types.ExternalFunction("mj_sensorVel", _step)  # noqa: N816
-mj_sensorAcc = types.ExternalFunction("mj_sensorAcc", _step)  # noqa: N816
+mj_makeM = types.ExternalFunction("mj_makeM", _step)
+mj_energyPos = types.ExternalFunction("mj_energyPos", _step)
+mj_energyVel = types.ExternalFunction("mj_energyVel", _step)
+mj_fwdVelocity = types.ExternalFunction("mj_fwdVelocity", _step)
+mj_fwdActuation = types.ExternalFunction("mj_fwdActuation", _step)
+mj_rnePostConstraint = types.ExternalFunction("mj_rnePostConstraint", _step)
+mj_subtreeVel = types.ExternalFunction("mj_subtreeVel", _step)
+mj_sensorPos = types.ExternalFunction("mj_sensorPos", _step)
+mj_sensorVel = types.ExternalFunction("mj_sensorVel", _step)
+mj_sensorAcc = types.ExternalFunction("mj_sensorAcc", _step)
 
 POSITION, VELOCITY, ACCELERATION = 1, 2, 3
 """Stages, as MuJoCo numbers them; those of positions and velocities own as many columns as there are dofs."""

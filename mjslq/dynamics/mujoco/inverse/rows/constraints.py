@@ -41,11 +41,11 @@ from mjslq.dynamics.mujoco.kernels import _address, _void
 _step = _void(_address, _address)
 mj_tendon = types.ExternalFunction("mj_tendon", _step)
 mj_collision = types.ExternalFunction("mj_collision", _step)
-mj_makeConstraint = types.ExternalFunction("mj_makeConstraint", _step)  # noqa: N816
-mj_comVel = types.ExternalFunction("mj_comVel", _step)  # noqa: N816
-mj_referenceConstraint = types.ExternalFunction("mj_referenceConstraint", _step)  # noqa: N816
-mj_mulJacVec = types.ExternalFunction("mj_mulJacVec", _void(_address, _address, _address, _address))  # noqa: N816
-mj_constraintUpdate = types.ExternalFunction(  # noqa: N816
+mj_makeConstraint = types.ExternalFunction("mj_makeConstraint", _step)
+mj_comVel = types.ExternalFunction("mj_comVel", _step)
+mj_referenceConstraint = types.ExternalFunction("mj_referenceConstraint", _step)
+mj_mulJacVec = types.ExternalFunction("mj_mulJacVec", _void(_address, _address, _address, _address))
+mj_constraintUpdate = types.ExternalFunction(
     "mj_constraintUpdate", _void(_address, _address, _address, _address, types.int32)
 )
 

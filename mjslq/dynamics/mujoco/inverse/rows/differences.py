@@ -26,8 +26,8 @@ from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, 
 from mjslq.dynamics.mujoco.kernels import _address, _copy, _number, _void
 
 mj_kinematics = types.ExternalFunction("mj_kinematics", _void(_address, _address))
-mj_comPos = types.ExternalFunction("mj_comPos", _void(_address, _address))  # noqa: N816
-mj_integratePos = types.ExternalFunction("mj_integratePos", _void(_address, _address, _address, _number))  # noqa: N816
+mj_comPos = types.ExternalFunction("mj_comPos", _void(_address, _address))
+mj_integratePos = types.ExternalFunction("mj_integratePos", _void(_address, _address, _address, _number))
 
 
 @compiled

@@ -36,7 +36,7 @@ from mjslq.dynamics.mujoco.inverse.table.columns import (
 from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix, vector
 from mjslq.dynamics.mujoco.kernels import _address, _void
 
-mju_subQuat = types.ExternalFunction("mju_subQuat", _void(_address, _address, _address))  # noqa: N816
+mju_subQuat = types.ExternalFunction("mju_subQuat", _void(_address, _address, _address))
 
 
 @compiled
