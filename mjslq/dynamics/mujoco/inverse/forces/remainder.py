@@ -332,7 +332,7 @@ def _signals(model: mujoco.MjModel, rest: Remainder) -> tuple[Any, Any, Any]:
         following += [] if closed else own
         if not closed or model.actuator_actearly[i]:
             controls += [int(model.actuator_ctrladr[i]) + k for k in range(model.actuator_ctrlnum[i])]
-    return tuple(np.array(found, np.int64) for found in (acts, controls, following))  # type: ignore[return-value]
+    return np.array(acts, np.int64), np.array(controls, np.int64), np.array(following, np.int64)
 
 
 def _control_ranges(model: mujoco.MjModel) -> Any:
