@@ -17,21 +17,21 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mjslq import costs as costs
     from mjslq import problems as problems
-    from mjslq._solve import methods as methods
-    from mjslq._solve import solve as solve
-    from mjslq.dynamics._base import DerivativeCheck as DerivativeCheck
-    from mjslq.dynamics._base import Dynamics as Dynamics
-    from mjslq.dynamics._base import Linearization as Linearization
+    from mjslq.dynamics.dynamics import DerivativeCheck as DerivativeCheck
+    from mjslq.dynamics.dynamics import Dynamics as Dynamics
+    from mjslq.dynamics.dynamics import Linearization as Linearization
     from mjslq.dynamics.function import FunctionDynamics as FunctionDynamics
     from mjslq.dynamics.mujoco import MujocoDynamics as MujocoDynamics
     from mjslq.dynamics.pinocchio import PinocchioDynamics as PinocchioDynamics
+    from mjslq.log import IterationLog as IterationLog
+    from mjslq.optimize import methods as methods
+    from mjslq.optimize import solve as solve
     from mjslq.problem import Problem as Problem
-    from mjslq.result import IterationLog as IterationLog
     from mjslq.result import Result as Result
     from mjslq.result import load as load
     from mjslq.robots import robot_path as robot_path
     from mjslq.scene import Scene as Scene
-    from mjslq.solvers._status import Status as Status
+    from mjslq.status import Status as Status
     from mjslq.trajectory import Trajectory as Trajectory
     from mjslq.viewer import export_html as export_html
     from mjslq.viewer import view as view
@@ -41,23 +41,23 @@ __version__ = "0.1.0"
 _HOME = {
     "costs": "mjslq.costs",
     "problems": "mjslq.problems",
-    "DerivativeCheck": "mjslq.dynamics._base",
-    "Dynamics": "mjslq.dynamics._base",
+    "DerivativeCheck": "mjslq.dynamics.dynamics",
+    "Dynamics": "mjslq.dynamics.dynamics",
     "FunctionDynamics": "mjslq.dynamics.function",
-    "IterationLog": "mjslq.result",
-    "Linearization": "mjslq.dynamics._base",
+    "IterationLog": "mjslq.log",
+    "Linearization": "mjslq.dynamics.dynamics",
     "MujocoDynamics": "mjslq.dynamics.mujoco",
     "PinocchioDynamics": "mjslq.dynamics.pinocchio",
     "Problem": "mjslq.problem",
     "Result": "mjslq.result",
     "Scene": "mjslq.scene",
-    "Status": "mjslq.solvers._status",
+    "Status": "mjslq.status",
     "Trajectory": "mjslq.trajectory",
     "export_html": "mjslq.viewer",
     "load": "mjslq.result",
-    "methods": "mjslq._solve",
+    "methods": "mjslq.optimize",
     "robot_path": "mjslq.robots",
-    "solve": "mjslq._solve",
+    "solve": "mjslq.optimize",
     "view": "mjslq.viewer",
 }
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from mjslq.dynamics._base import Dynamics
+    from mjslq.dynamics.dynamics import Dynamics
 
 app = typer.Typer(
     help="Trajectory optimization for MuJoCo models.",
@@ -84,10 +84,10 @@ def solve(
         raise ValueError(f"cannot write {save}: there is no folder {save.parent}")
     _announce(quiet)
     from mjslq import problems
-    from mjslq._report import as_dict, print_summary
-    from mjslq._solve import METHODS, option_names
-    from mjslq._solve import solve as run
-    from mjslq._validation import choose
+    from mjslq.optimize import METHODS, option_names
+    from mjslq.optimize import solve as run
+    from mjslq.reports.tables import as_dict, print_summary
+    from mjslq.validation import choose
 
     choose("problem", problem, problems.names())
     choose("method", method, METHODS)
@@ -146,8 +146,8 @@ def check(
     from rich.console import Console
     from rich.table import Table
 
-    from mjslq._validation import count
-    from mjslq.dynamics._base import TOLERANCE
+    from mjslq.dynamics.dynamics import TOLERANCE
+    from mjslq.validation import count
 
     dynamics, x0 = _dynamics_of(what)
     console = Console()
@@ -189,10 +189,10 @@ def compare(
     from rich.console import Console
     from rich.table import Table
 
-    from mjslq import compare as comparing
     from mjslq import problems
-    from mjslq._solve import COMMON
-    from mjslq._validation import choose
+    from mjslq.optimize import COMMON
+    from mjslq.reports import compare as comparing
+    from mjslq.validation import choose
 
     choose("problem", problem, problems.names())
     if plot is not None:
@@ -232,9 +232,9 @@ def reproduce(
     from rich.console import Console
     from rich.table import Table
 
-    from mjslq import reproduce
-    from mjslq._validation import choose
-    from mjslq.compare import FORMATS
+    from mjslq.reports import reproduce
+    from mjslq.reports.compare import FORMATS
+    from mjslq.validation import choose
 
     if plot is not None:
         choose("ending of a picture", plot.suffix, FORMATS)
@@ -256,8 +256,8 @@ def bench(
 ) -> None:
     """Measure what an iteration costs here, phase by phase, beside the engine's own calls."""
     _announce(quiet=False)
-    from mjslq import _report, bench
-    from mjslq._validation import choose
+    from mjslq.reports import bench, tables
+    from mjslq.validation import choose
 
     rows = []
     for case in [choose("case", case, bench.CASES) for case in cases or bench.CASES]:
@@ -270,12 +270,12 @@ def bench(
     if as_json:
         print(json.dumps({"cases": [row.as_dict() for row in rows], "growth": growth}))
     else:
-        _report.benchmark(rows, growth)
+        tables.benchmark(rows, growth)
 
 
 def _announce(quiet: bool) -> None:
     if not quiet:
-        from mjslq._compiling import announce_compilation
+        from mjslq.compiling import announce_compilation
 
         announce_compilation(lambda message: print(message, file=sys.stderr, flush=True))
 
@@ -283,7 +283,7 @@ def _announce(quiet: bool) -> None:
 def _sort_settings(settings: list[str], problem: str, own: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Split NAME=VALUE settings into parameters of the problem and options named in `own`."""
     from mjslq import problems
-    from mjslq._validation import choose
+    from mjslq.validation import choose
 
     parameters, options = {}, {}
     known = problems.parameters(problem)

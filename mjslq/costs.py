@@ -2,7 +2,7 @@
 
 Every term comes in two steps. What the user writes (`Tracking`, `State`, `Control`, `Sensor`, `Residual`,
 `Function`) is a small frozen record. `bind` fits it to a system and a horizon, where sizes are checked and weights are
-spread over the knots; the bound term (`_terms.py`) then evaluates and expands over the whole horizon at once.
+spread over the knots; the bound term (`terms.py`) then evaluates and expands over the whole horizon at once.
 
 Notation
 --------
@@ -24,11 +24,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjslq._terms import BoundTerm as BoundTerm
-from mjslq._terms import ControlTerm, FunctionTerm, ResidualTerm, SensorTerm, StateTerm
-from mjslq._terms import Expansion as Expansion
-from mjslq._validation import Array, as_array, choose, per_step_matrices, per_step_vectors
-from mjslq.dynamics._base import Dynamics
+from mjslq.dynamics.dynamics import Dynamics
+from mjslq.terms import BoundTerm as BoundTerm
+from mjslq.terms import ControlTerm, FunctionTerm, ResidualTerm, SensorTerm, StateTerm
+from mjslq.terms import Expansion as Expansion
+from mjslq.validation import Array, as_array, choose, per_step_matrices, per_step_vectors
 
 When = Literal["running", "terminal", "always"]
 _WHEN = ("running", "terminal", "always")

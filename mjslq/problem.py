@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjslq._validation import Array, as_array, count, frozen
 from mjslq.costs import BoundTerm, CostTerm, Expansion
-from mjslq.dynamics._base import Dynamics, Linearization
+from mjslq.dynamics.dynamics import Dynamics, Linearization
 from mjslq.lq.adjoint import adjoint
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array, as_array, count, frozen
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ import importlib.metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mjslq._validation import choose
+from mjslq.validation import choose
 
 if TYPE_CHECKING:
     import mujoco

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjslq._validation import Array
+from mjslq.validation import Array
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjslq._validation import Array, as_array, frozen
+from mjslq.validation import Array, as_array, frozen
 
 
 @dataclass(frozen=True)

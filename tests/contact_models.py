@@ -7,7 +7,7 @@ import itertools
 import mujoco
 import numpy as np
 
-from mjslq._validation import Array
+from mjslq.validation import Array
 
 _rng = np.random.default_rng(0)
 _corners = _rng.normal(size=(30, 3))

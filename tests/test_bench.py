@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from mjslq import _report, bench
+from mjslq.reports import bench, tables
 
 
 @pytest.fixture(autouse=True)
@@ -48,7 +48,7 @@ def test_growth_is_measured_by_horizon_states_iterations_and_threads():
 
 def test_the_table_has_a_line_a_case(capsys):
     rows = [bench.run("hopper")]
-    _report.benchmark(rows, {"milliseconds by the horizon": {100: 1.0, 200: 2.0}})
+    tables.benchmark(rows, {"milliseconds by the horizon": {100: 1.0, 200: 2.0}})
     printed = capsys.readouterr().out
     assert printed.count("hopper") == 2 and "200: 2" in printed
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mjslq import problems
-from mjslq._solve import METHODS
-from mjslq.compare import compare, plot
+from mjslq.optimize import METHODS
+from mjslq.reports.compare import compare, plot
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from mjslq import FunctionDynamics, Problem, Status, costs, problems, solve
 from mjslq.lq.riccati import LQProblem
 from mjslq.problems.drag_particle import OPTIMAL_COSTS
-from mjslq.solvers._damping import GROW, SHRINK, Damping
-from mjslq.solvers._iterate import Direction, Iterate
-from mjslq.solvers._loop import Accepted
+from mjslq.solvers.damping import GROW, SHRINK, Damping
+from mjslq.solvers.iterate import Direction, Iterate
+from mjslq.solvers.loop import Accepted
 
 PENDULUM = FunctionDynamics(lambda x, u: np.stack([x[1], u[0] - 9.81 * np.sin(x[0]) - 0.1 * x[1]]), 2, 1, 0.05)
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from mjslq.solvers import _linesearch as linesearch
-from mjslq.solvers._linesearch import C1, C1_GOLDSTEIN, C2, ROUNDOFF, SEARCHES, Trial, search
+from mjslq.solvers import linesearch as linesearch
+from mjslq.solvers.linesearch import C1, C1_GOLDSTEIN, C2, ROUNDOFF, SEARCHES, Trial, search
 
 NAMES = sorted(SEARCHES)
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mjslq.lq import _dense
+from mjslq.lq import dense
 from mjslq.lq.adjoint import adjoint
 from mjslq.lq.riccati import LQProblem, NotPositiveDefinite, solve
 
@@ -297,12 +297,12 @@ def test_adjoint_is_the_finite_difference_of_the_total_cost(size, seed):
 
 # The dense kernels, below and above the size at which they turn to BLAS
 
-edge = round(_dense.SMALL ** (1 / 3))
+edge = round(dense.SMALL ** (1 / 3))
 shapes = [(1, 1, 1), (3, 2, 5), (edge, edge, edge), (edge, edge, edge + 1), (7, 14, 14), (40, 40, 6), (30, 40, 20)]
 
 
 def test_shapes_lie_on_both_sides_of_the_threshold():
-    below = [np.prod(shape) <= _dense.SMALL for shape in shapes]
+    below = [np.prod(shape) <= dense.SMALL for shape in shapes]
     assert any(below) and not all(below)
 
 
@@ -311,13 +311,13 @@ def test_products_are_numpys(rows, inner, columns):
     rng = np.random.default_rng(rows * inner)
     A, B = rng.standard_normal((rows, inner)), rng.standard_normal((inner, columns))
     out = np.full((rows, columns), np.nan)  # whatever stands in it is overwritten
-    _dense.multiply(A, B, out)
+    dense.multiply(A, B, out)
     np.testing.assert_allclose(out, A @ B, rtol=1e-13, atol=1e-13)
     out[:] = np.nan
-    _dense.multiply_transposed(np.ascontiguousarray(A.T), B, out)
+    dense.multiply_transposed(np.ascontiguousarray(A.T), B, out)
     np.testing.assert_allclose(out, A @ B, rtol=1e-13, atol=1e-13)
     x, start = rng.standard_normal(inner), rng.standard_normal(rows)
-    for product, matrix in ((_dense.add_product, A), (_dense.add_transposed_product, np.ascontiguousarray(A.T))):
+    for product, matrix in ((dense.add_product, A), (dense.add_transposed_product, np.ascontiguousarray(A.T))):
         total = start.copy()
         product(matrix, x, total)
         np.testing.assert_allclose(total, start + A @ x, rtol=1e-13, atol=1e-13)
@@ -329,10 +329,10 @@ def test_cholesky_is_numpys(n, columns, seed):
     root = rng.standard_normal((n, n + 3))
     A, B = root @ root.T, rng.standard_normal((n, columns))
     L = np.zeros((n, n))
-    assert _dense.cholesky(np.tril(A) + np.triu(np.full((n, n), np.nan), 1), L)  # only the lower half is read
+    assert dense.cholesky(np.tril(A) + np.triu(np.full((n, n), np.nan), 1), L)  # only the lower half is read
     np.testing.assert_allclose(L, np.linalg.cholesky(A), rtol=1e-9, atol=1e-11)
     X = B.copy()
-    _dense.cholesky_solve(L, X)
+    dense.cholesky_solve(L, X)
     np.testing.assert_allclose(A @ X, B, rtol=1e-8, atol=1e-9 * np.abs(A).max() * np.abs(X).max())
 
 
@@ -341,8 +341,8 @@ def test_cholesky_refuses_what_is_not_positive_definite(corner):
     for where in range(3):
         A = np.eye(3)
         A[where, where] = corner
-        assert not _dense.cholesky(A, np.zeros((3, 3)))
-    assert not _dense.cholesky(np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros((2, 2)))
+        assert not dense.cholesky(A, np.zeros((3, 3)))
+    assert not dense.cholesky(np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros((2, 2)))
 
 
 @settings(max_examples=5)
@@ -351,6 +351,6 @@ def test_kernels_are_the_same_compiled_or_not(seed):
     rng = np.random.default_rng(seed)
     A, B = rng.standard_normal((5, 4)), rng.standard_normal((4, 6))
     compiled, plain = np.empty((5, 6)), np.empty((5, 6))
-    _dense.multiply(A, B, compiled)
-    _dense.multiply.py_func(A, B, plain)
+    dense.multiply(A, B, compiled)
+    dense.multiply.py_func(A, B, plain)
     np.testing.assert_allclose(compiled, plain, rtol=1e-15, atol=1e-15)

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjslq._validation import Array
-from mjslq.dynamics._base import compare_jacobians, fine_reference
+from mjslq.dynamics.dynamics import compare_jacobians, fine_reference
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.dynamics.mujoco.inverse.readings.outputs import sensors
 from mjslq.dynamics.mujoco.inverse.table import columns as columns
 from mjslq.dynamics.mujoco.models import drag_spec, hopper_spec
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array
 
 
 def dynamics_of(xml: str, **options: object) -> MujocoDynamics:

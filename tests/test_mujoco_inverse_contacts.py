@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mjslq._validation import Array
-from mjslq.dynamics._base import Linearization, fine_reference
+from mjslq.dynamics.dynamics import Linearization, fine_reference
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array
 
 WAYS = [
     {"one_tree": False, "option": "", "contact": 'solimp="0 .95 .02" solref=".02 1"'},

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from mjslq.dynamics.mujoco import MujocoDynamics
-from mjslq.dynamics.mujoco.manifold import StateSpace
+from mjslq.manifold import StateSpace
 
 MODEL = mujoco.MjModel.from_xml_string("""
 <mujoco><worldbody>

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from mjslq import FunctionDynamics, MujocoDynamics, Problem, Status, costs, problems, solve
 from mjslq.problems.drag_particle import BETAS, OPTIMAL_COSTS
-from mjslq.solvers._shooting import Guess, close_gaps
+from mjslq.solvers.shooting import Guess, close_gaps
 
 METHODS = ["newton", "slq"]
 PENDULUM = FunctionDynamics(lambda x, u: np.stack([x[1], u[0] - 9.81 * np.sin(x[0]) - 0.1 * x[1]]), 2, 1, 0.05)
@@ -211,7 +211,7 @@ def test_wrong_guesses_are_refused_in_one_sentence(method, X0, sentence):
 
 
 def test_closing_gaps_by_itself():
-    from mjslq.solvers._loop import Monitor, Stopping
+    from mjslq.solvers.loop import Monitor, Stopping
 
     problem, monitor = pendulum(), Monitor()
     closed = close_gaps(problem, np.vstack([problem.x0, swing()[1:]]), np.zeros((40, 1)), Stopping(), monitor, True)

@@ -11,8 +11,8 @@ from mjslq.lq.modified import convexified, modification
 from mjslq.lq.riccati import LQProblem, NotPositiveDefinite
 from mjslq.lq.riccati import solve as sweep
 from mjslq.problems.drag_particle import BETAS, OPTIMAL_COSTS
-from mjslq.solvers._iterate import Iterate
-from mjslq.solvers._linesearch import SEARCHES
+from mjslq.solvers.iterate import Iterate
+from mjslq.solvers.linesearch import SEARCHES
 from mjslq.solvers.newton import MODIFICATIONS, convex_solution, costates_ahead
 
 seeds = st.integers(0, 2**32 - 1)

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from mjslq import Status, reproduce
+from mjslq import Status
+from mjslq.reports import reproduce
 
 
 @pytest.fixture(scope="module")

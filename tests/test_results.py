@@ -12,8 +12,8 @@ import pytest
 import mjslq
 from mjslq import Result, Status, problems, solve
 from mjslq import result as result_module
-from mjslq._files import atomic_write
-from mjslq.result import IterationLog
+from mjslq.files import atomic_write
+from mjslq.log import IterationLog
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
 

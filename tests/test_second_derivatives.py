@@ -5,8 +5,8 @@ import pytest
 from numba import njit
 
 from mjslq import FunctionDynamics, MujocoDynamics, Problem, costs, problems
-from mjslq.dynamics._base import Dynamics
-from mjslq.solvers._iterate import Iterate
+from mjslq.dynamics.dynamics import Dynamics
+from mjslq.solvers.iterate import Iterate
 
 BALL = """
 <mujoco><option timestep="0.02"/><worldbody><body pos="0 0 1"><joint name="b" type="ball" damping=".1"/>

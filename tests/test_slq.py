@@ -9,8 +9,8 @@ from small_problems import DOUBLE_INTEGRATOR, PENDULUM, drag, linear, pendulum
 from mjslq import FunctionDynamics, Problem, Status, costs, problems, solve
 from mjslq.problems.drag_particle import OPTIMAL_COSTS
 from mjslq.problems.hopper import phases
-from mjslq.solvers._iterate import Iterate
-from mjslq.solvers._linesearch import SEARCHES
+from mjslq.solvers.iterate import Iterate
+from mjslq.solvers.linesearch import SEARCHES
 from mjslq.solvers.slq import gauss_newton
 
 seeds = st.integers(0, 2**32 - 1)

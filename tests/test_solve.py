@@ -10,7 +10,7 @@ from small_problems import DOUBLE_INTEGRATOR, PENDULUM, drag, linear, pendulum, 
 
 import mjslq
 from mjslq import FunctionDynamics, Problem, Status, costs, problems, solve
-from mjslq.solvers._linesearch import SEARCHES
+from mjslq.solvers.linesearch import SEARCHES
 
 # How a solve ends
 

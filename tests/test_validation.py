@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mjslq._validation import as_array, choose, count, frozen, per_step_matrices, per_step_vectors, positive
 from mjslq.trajectory import Trajectory
+from mjslq.validation import as_array, choose, count, frozen, per_step_matrices, per_step_vectors, positive
 
 nan, inf = float("nan"), float("inf")
 

@@ -1,4 +1,4 @@
 """Engines: what turns a state and a control into the next state, over whole horizons at once."""
 
-from mjslq.dynamics._base import Dynamics as Dynamics
-from mjslq.dynamics._base import Linearization as Linearization
+from mjslq.dynamics.dynamics import Dynamics as Dynamics
+from mjslq.dynamics.dynamics import Linearization as Linearization

@@ -25,12 +25,12 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from numpy.typing import ArrayLike
 
-from mjslq._complex import refused_complex
-from mjslq._validation import Array, as_array, choose, count
-from mjslq.dynamics import _function_kernels as kernels
-from mjslq.dynamics._base import Curvature, Dynamics, Linearization, curvature_of
+from mjslq.complex_step import refused_complex
+from mjslq.dynamics import function_kernels as kernels
+from mjslq.dynamics.dynamics import Curvature, Dynamics, Linearization, curvature_of
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array, as_array, choose, count
 
 Integrator = Literal["map", "euler", "semi-implicit-euler", "rk4"]
 _INTEGRATORS = {

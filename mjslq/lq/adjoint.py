@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from mjslq._validation import Array
-from mjslq.lq._dense import add_transposed_product
+from mjslq.lq.dense import add_transposed_product
+from mjslq.validation import Array
 
 
 def adjoint(A: Array, B: Array, q: Array, r: Array) -> tuple[Array, Array]:

@@ -18,8 +18,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from mjslq._validation import Array
 from mjslq.lq.riccati import LQProblem, LQSolution, NotPositiveDefinite, solve
+from mjslq.validation import Array
 
 
 def modification(problem: LQProblem, floor: Array) -> Array:

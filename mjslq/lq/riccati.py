@@ -36,8 +36,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from mjslq._validation import Array
-from mjslq.lq._dense import (
+from mjslq.lq.dense import (
     add_product,
     add_transposed_product,
     cholesky,
@@ -45,6 +44,7 @@ from mjslq.lq._dense import (
     multiply,
     multiply_transposed,
 )
+from mjslq.validation import Array
 
 WIDE = 1e4
 """Spread of the pivots of G up to which rounding stays below 1e-11 without refinement."""

@@ -34,8 +34,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjslq._validation import Array
 from mjslq.lq.riccati import LQProblem, LQSolution, NotPositiveDefinite, solve
+from mjslq.validation import Array
 
 EXACT = 1e-8
 """Relative error allowed of ||v|| = Delta."""

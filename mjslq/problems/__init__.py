@@ -13,8 +13,8 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
-from mjslq._validation import choose
 from mjslq.problem import Problem
+from mjslq.validation import choose
 
 # Modules are imported when their problem is asked for: one may need an engine that another does not.
 _CATALOGUE = {

@@ -13,11 +13,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from mjslq._validation import choose, count, finite, positive
 from mjslq.costs import Tracking
-from mjslq.dynamics._base import Dynamics
+from mjslq.dynamics.dynamics import Dynamics
 from mjslq.dynamics.function import FunctionDynamics
 from mjslq.problem import Problem
+from mjslq.validation import choose, count, finite, positive
 
 BETAS = (0.01, 0.05, 0.1, 0.5, 1.0)
 """The drag coefficients of Table 1."""

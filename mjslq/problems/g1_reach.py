@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from mjslq._validation import Array, count, finite, positive
 from mjslq.costs import Control, Sensor, State
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.problem import Problem
-from mjslq.problems._legged import on_floor, standing
+from mjslq.problems.legged import on_floor, standing
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array, count, finite, positive
 
 FEET = ("left_ankle_roll_link", "right_ankle_roll_link")
 HAND = "right_wrist_yaw_link"

@@ -18,13 +18,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from mjslq._validation import choose, count, finite, positive
 from mjslq.costs import Tracking
-from mjslq.dynamics._base import Dynamics
+from mjslq.dynamics.dynamics import Dynamics
 from mjslq.dynamics.function import FunctionDynamics, Integrator
 from mjslq.problem import Problem
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
+from mjslq.validation import choose, count, finite, positive
 
 PAPER_ITERATIONS = {1.0: 3, 50.0: 166}
 """Iterations that the paper reports, by height."""

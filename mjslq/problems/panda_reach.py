@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mjslq._validation import Array, choose, count, positive
 from mjslq.costs import Control, Sensor, State
-from mjslq.dynamics._base import Dynamics
+from mjslq.dynamics.dynamics import Dynamics
 from mjslq.problem import Problem
 from mjslq.robots import robot_path
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array, choose, count, positive
 
 if TYPE_CHECKING:
     import mujoco

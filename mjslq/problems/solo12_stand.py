@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from mjslq._validation import Array, count, positive
 from mjslq.costs import Control, State
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.problem import Problem
-from mjslq.problems._legged import on_floor, standing
+from mjslq.problems.legged import on_floor, standing
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array, count, positive
 
 LEGS = ("FL", "FR", "HL", "HR")
 FOOT_RADIUS = 0.0155

@@ -17,11 +17,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from mjslq._validation import count, finite, positive
 from mjslq.costs import Control, Residual
 from mjslq.dynamics.function import FunctionDynamics
 from mjslq.problem import Problem
 from mjslq.scene import Scene
+from mjslq.validation import count, finite, positive
 
 PAPER_TABLE = (
     (9.586, 6.476, -3.024, 1.028, 1.0),

@@ -14,9 +14,9 @@ import dataclasses
 
 import numpy as np
 
-from mjslq.solvers._advance import line_searching
-from mjslq.solvers._iterate import Direction, Iterate
-from mjslq.solvers._loop import Accepted, Monitor, Outcome, Stopping, descend
+from mjslq.solvers.advance import line_searching
+from mjslq.solvers.iterate import Direction, Iterate
+from mjslq.solvers.loop import Accepted, Monitor, Outcome, Stopping, descend
 
 GROWTH = 4.0
 """Length offered to the search, relative to the step taken before."""

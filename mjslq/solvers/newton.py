@@ -25,7 +25,7 @@ Convexity. Far from a minimum the LQ problem need not have one. Three ways out, 
                     (`mjslq.lq.modified`)
 
 None touches a problem that is convex, so that the last steps are Newton's own. Where the line search finds no step all
-the same, a Levenberg-Marquardt multiplier comes in (`_damping`).
+the same, a Levenberg-Marquardt multiplier comes in (`damping`).
 
 Sources: Sideris and Bobrow 2005, section 4.1 (the modified Newton method compared with); Dunn and Bertsekas 1989,
 "Efficient dynamic programming implementations of Newton's method for unconstrained optimal control problems";
@@ -38,14 +38,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mjslq._validation import Array, choose
 from mjslq.lq.modified import convexified
 from mjslq.lq.modified import modification as stage_modification
 from mjslq.lq.riccati import LQProblem, LQSolution, NotPositiveDefinite, solve
-from mjslq.solvers._advance import line_searching
-from mjslq.solvers._damping import Damping
-from mjslq.solvers._iterate import Direction, Iterate
-from mjslq.solvers._loop import Monitor, Outcome, Stopping, descend
+from mjslq.solvers.advance import line_searching
+from mjslq.solvers.damping import Damping
+from mjslq.solvers.iterate import Direction, Iterate
+from mjslq.solvers.loop import Monitor, Outcome, Stopping, descend
+from mjslq.validation import Array, choose
 
 COSTATES = ("sweep", "adjoint")
 FLOOR = 1e-3

@@ -10,16 +10,16 @@ U_bar is the Gauss-Newton direction of the least-squares problem behind the quad
 
 Step 3 adds the change of the controls as it is ("open-loop", the paper's), or lets the sweep's feedback act during
 the rollout ("closed-loop": u = u_ref + alpha k - K (x - x_ref)), which unstable systems need. Steps that had to be
-shortened are followed by a search along the previous change of the controls (`_acceleration.py`).
+shortened are followed by a search along the previous change of the controls (`acceleration.py`).
 """
 
 from __future__ import annotations
 
 from mjslq.lq.modified import convexified
-from mjslq.solvers._advance import line_searching
-from mjslq.solvers._damping import START, Damping
-from mjslq.solvers._iterate import Direction, Iterate
-from mjslq.solvers._loop import Monitor, Outcome, Stopping, descend
+from mjslq.solvers.advance import line_searching
+from mjslq.solvers.damping import START, Damping
+from mjslq.solvers.iterate import Direction, Iterate
+from mjslq.solvers.loop import Monitor, Outcome, Stopping, descend
 
 
 def slq(
@@ -44,7 +44,7 @@ def slq(
     acceleration : bool
         After a step that the line search had to shorten, also search along the previous change of the controls.
     multiplier : str, optional
-        "control" or "state": what a Levenberg-Marquardt multiplier keeps near the iterate (`_damping`). Without it,
+        "control" or "state": what a Levenberg-Marquardt multiplier keeps near the iterate (`damping`). Without it,
         one on the controls comes in only where the line search fails.
     damping : float
         The multiplier to start with, relative to the largest weight of the controls or states.

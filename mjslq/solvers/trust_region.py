@@ -20,7 +20,7 @@ costs nothing, since only a ball that limits is ever felt. One iteration is one 
 is accepted or not.
 
 Where the decrease to hope for drowns in the rounding of J, rho is noise: the step is then accepted if the gradient
-falls (the roundoff rule of `_linesearch`).
+falls (the roundoff rule of `linesearch`).
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from typing import Any
 
 import numpy as np
 
-from mjslq._validation import choose, positive
 from mjslq.lq.trust_region import solve_in_ball
-from mjslq.solvers._advance import kind_of_step, take
-from mjslq.solvers._iterate import Direction, Iterate
-from mjslq.solvers._linesearch import ROUNDOFF, in_roundoff
-from mjslq.solvers._loop import Accepted, Monitor, Outcome, Stopping, descend
+from mjslq.solvers.advance import kind_of_step, take
+from mjslq.solvers.iterate import Direction, Iterate
+from mjslq.solvers.linesearch import ROUNDOFF, in_roundoff
+from mjslq.solvers.loop import Accepted, Monitor, Outcome, Stopping, descend
+from mjslq.validation import choose, positive
 
 HESSIANS = ("newton", "gauss-newton")
 WORST = -1e9

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjslq._validation import Array
+from mjslq.validation import Array
 
 FIELD_OF_VIEW = np.deg2rad(32.0)
 """Vertical; narrow, so that parallel edges stay nearly parallel. [rad]"""

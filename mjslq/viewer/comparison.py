@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 import viser
 
-from mjslq._validation import Array
 from mjslq.result import Result
+from mjslq.validation import Array
 from mjslq.viewer import panels, series
 
 _FLOOR = 1e-16  # relative costs below this are rounding

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import viser
 
-from mjslq._files import atomic_write
-from mjslq._validation import Array
+from mjslq.files import atomic_write
 from mjslq.result import Result
+from mjslq.validation import Array
 from mjslq.viewer import geometry, panels, series
 from mjslq.viewer.scene import SceneView, quiet
 

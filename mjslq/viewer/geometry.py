@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mjslq._validation import Array
+from mjslq.validation import Array
 
 Faces = NDArray[np.intp]
 

@@ -8,9 +8,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjslq._validation import Array
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mjslq._validation import Array
 from mjslq.result import Result
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array
 from mjslq.viewer import series
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from functools import lru_cache
 import numpy as np
 import viser
 
-from mjslq._validation import choose, count
 from mjslq.result import Result
+from mjslq.validation import choose, count
 from mjslq.viewer import geometry, panels, series
 from mjslq.viewer.controls import GHOSTS, Actions, Controls
 from mjslq.viewer.motion import Motion

@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 import rich
 
-from mjslq._validation import Array
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array
 from mjslq.viewer import camera, geometry
 from mjslq.viewer.motion import Motion, extent, motion
 

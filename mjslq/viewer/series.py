@@ -8,9 +8,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjslq._validation import Array
 from mjslq.result import Result
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array
 from mjslq.viewer.motion import finite_knots
 
 PER_PLOT = 8

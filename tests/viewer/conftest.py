@@ -11,9 +11,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjslq.result import IterationLog, Result
+from mjslq.log import IterationLog
+from mjslq.result import Result
 from mjslq.scene import Scene
-from mjslq.solvers._status import Status
+from mjslq.status import Status
 from mjslq.trajectory import Trajectory
 
 CHROMIUM_ARGUMENTS = [

@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 import viser
 
-from mjslq.result import IterationLog, Result
+from mjslq.log import IterationLog
+from mjslq.result import Result
 from mjslq.trajectory import Trajectory
 from mjslq.viewer import view
 from mjslq.viewer.player import Player

@@ -26,11 +26,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjslq._validation import Array, as_array, choose, count, positive
-from mjslq.dynamics._base import Dynamics, Linearization, Output
-from mjslq.dynamics.mujoco.manifold import StateSpace
+from mjslq.dynamics.dynamics import Dynamics, Linearization, Output
+from mjslq.manifold import StateSpace
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array, as_array, choose, count, positive
 
 if TYPE_CHECKING:
     import mujoco

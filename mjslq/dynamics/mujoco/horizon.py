@@ -9,12 +9,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjslq._validation import Array
-from mjslq.dynamics._base import Linearization
+from mjslq.dynamics.dynamics import Linearization
 from mjslq.dynamics.mujoco import kernels
 from mjslq.dynamics.mujoco.checks import refuse_callbacks
 from mjslq.dynamics.mujoco.library import Workers, copied, quiet
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array
 
 
 class Horizon:

@@ -30,15 +30,15 @@ from mjslq.dynamics.mujoco.library import library_path
 
 llvmlite.binding.load_library_permanently(library_path())
 
-_address, _number, _void = types.intp, types.float64, types.void
-mj_resetData = types.ExternalFunction("mj_resetData", _void(_address, _address))
-mj_step = types.ExternalFunction("mj_step", _void(_address, _address))
-mj_forward = types.ExternalFunction("mj_forward", _void(_address, _address))
+address_t, number_t, void_t = types.intp, types.float64, types.void
+mj_resetData = types.ExternalFunction("mj_resetData", void_t(address_t, address_t))
+mj_step = types.ExternalFunction("mj_step", void_t(address_t, address_t))
+mj_forward = types.ExternalFunction("mj_forward", void_t(address_t, address_t))
 mj_differentiatePos = types.ExternalFunction(
-    "mj_differentiatePos", _void(_address, _address, _number, _address, _address)
+    "mj_differentiatePos", void_t(address_t, address_t, number_t, address_t, address_t)
 )
 mjd_transitionFD = types.ExternalFunction(
-    "mjd_transitionFD", _void(_address, _address, _number, types.uint8, _address, _address, _address, _address)
+    "mjd_transitionFD", void_t(address_t, address_t, number_t, types.uint8, address_t, address_t, address_t, address_t)
 )
 
 ABSURD = float(mujoco.mjMAXVAL)
@@ -55,7 +55,7 @@ JOB = np.dtype([(name, np.int64) for name in _SIZES + _ARRAYS] + [("eps", np.flo
 
 
 @intrinsic
-def _pointer(typing_context: Any, address: Any) -> Any:
+def pointer(typing_context: Any, address: Any) -> Any:
     """Make a pointer to numbers of an address held in an integer."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -64,7 +64,7 @@ def _pointer(typing_context: Any, address: Any) -> Any:
     return types.voidptr(types.int64), generate
 
 
-def _compiled(signature: Any) -> Callable[[Callable[..., Any]], int]:
+def c_function(signature: Any) -> Callable[[Callable[..., Any]], int]:
     """Compile to a C function and return its address; keep the result on disk where a place for it can be found."""
 
     def compile_kernel(function: Callable[..., Any]) -> Any:
@@ -79,16 +79,16 @@ def _compiled(signature: Any) -> Callable[[Callable[..., Any]], int]:
 
 @numba.njit(inline="always")
 def _vector(address, size):
-    return numba.carray(_pointer(address), (size,), np.float64)
+    return numba.carray(pointer(address), (size,), np.float64)
 
 
 @numba.njit(inline="always")
 def _matrix(address, rows, columns):
-    return numba.carray(_pointer(address), (rows, columns), np.float64)
+    return numba.carray(pointer(address), (rows, columns), np.float64)
 
 
 @numba.njit(inline="always")
-def _copy(source, target):
+def copy_into(source, target):
     for i in range(target.shape[0]):
         target[i] = source[i]
 
@@ -105,7 +105,7 @@ def _sane(values):
 @numba.njit(inline="always")
 def _warned(job):
     """Whether MuJoCo has counted any warning; the counters stand in pairs with other information."""
-    counters = numba.carray(_pointer(job.warnings), (2 * WARNINGS,), np.int32)
+    counters = numba.carray(pointer(job.warnings), (2 * WARNINGS,), np.int32)
     for i in range(0, 2 * WARNINGS - 1, 2):  # noqa: SIM110
         if counters[i] != 0:
             return True
@@ -115,17 +115,17 @@ def _warned(job):
 @numba.njit(inline="always")
 def _load(job, x):
     """Put the state x into mjData."""
-    _copy(x[: job.nq], _vector(job.qpos, job.nq))
-    _copy(x[job.nq : job.nq + job.nv], _vector(job.qvel, job.nv))
-    _copy(x[job.nq + job.nv :], _vector(job.act, job.na))
+    copy_into(x[: job.nq], _vector(job.qpos, job.nq))
+    copy_into(x[job.nq : job.nq + job.nv], _vector(job.qvel, job.nv))
+    copy_into(x[job.nq + job.nv :], _vector(job.act, job.na))
 
 
 @numba.njit(inline="always")
 def _store(job, x):
     """Read the state x out of mjData."""
-    _copy(_vector(job.qpos, job.nq), x[: job.nq])
-    _copy(_vector(job.qvel, job.nv), x[job.nq : job.nq + job.nv])
-    _copy(_vector(job.act, job.na), x[job.nq + job.nv :])
+    copy_into(_vector(job.qpos, job.nq), x[: job.nq])
+    copy_into(_vector(job.qvel, job.nv), x[job.nq : job.nq + job.nv])
+    copy_into(_vector(job.act, job.na), x[job.nq + job.nv :])
 
 
 @numba.njit(inline="always")
@@ -145,7 +145,7 @@ def _feedback(job, n, x, deviation, u):
         u[i] = total
 
 
-@_compiled(_void(_address, _address, types.int32, types.voidptr))
+@c_function(void_t(address_t, address_t, types.int32, types.voidptr))
 def simulate(_model, _data, worker, jobs):
     """Roll out from X[0], under U, or under the feedback law when K is given (U is then written).
 
@@ -154,7 +154,7 @@ def simulate(_model, _data, worker, jobs):
     job = numba.carray(jobs, worker + 1, JOB)[worker]
     nx, N = job.nq + job.nv + job.na, job.N
     X, U, Y = _matrix(job.X, N + 1, nx), _matrix(job.U, N, job.nu), _matrix(job.Y, N + 1, job.ny)
-    bad_knot = numba.carray(_pointer(job.bad_knot), (1,), np.int64)
+    bad_knot = numba.carray(pointer(job.bad_knot), (1,), np.int64)
     ctrl, sensors = _vector(job.ctrl, job.nu), _vector(job.sensors, job.ny)
     deviation = np.empty(2 * job.nv + job.na)
     mj_resetData(job.model, job.data)
@@ -165,9 +165,9 @@ def simulate(_model, _data, worker, jobs):
         if not (_sane(U[n]) and _sane(X[n])):
             bad_knot[0] = n
             return
-        _copy(U[n], ctrl)
+        copy_into(U[n], ctrl)
         mj_step(job.model, job.data)
-        _copy(sensors, Y[n])
+        copy_into(sensors, Y[n])
         _store(job, X[n + 1])
         if _warned(job) or not _sane(X[n + 1]):
             bad_knot[0] = n + 1 if _sane(Y[n]) else n
@@ -178,11 +178,11 @@ def simulate(_model, _data, worker, jobs):
     for i in range(job.nu):
         ctrl[i] = 0.0
     mj_forward(job.model, job.data)
-    _copy(sensors, Y[N])
+    copy_into(sensors, Y[N])
     bad_knot[0] = N if _warned(job) or not _sane(Y[N]) else N + 1
 
 
-@_compiled(_void(_address, _address, types.int32, types.voidptr))
+@c_function(void_t(address_t, address_t, types.int32, types.voidptr))
 def transition(_model, _data, worker, jobs):
     """Jacobians A, B, C, D of the knots first ... last - 1 by differences of the step (mjd_transitionFD).
 
@@ -202,7 +202,7 @@ def transition(_model, _data, worker, jobs):
         for i in range(job.nv):
             warmstart[i] = 0.0
         mj_forward(job.model, job.data)
-        _copy(qacc, warmstart)
+        copy_into(qacc, warmstart)
         C = job.C + 8 * n * ny * ndx if ny > 0 else 0
         if n < job.N:
             A, B, D = job.A + 8 * n * ndx * ndx, job.B + 8 * n * ndx * nu, job.D + 8 * n * ny * nu if ny > 0 else 0

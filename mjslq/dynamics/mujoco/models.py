@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mjslq._validation import choose, positive
+from mjslq.validation import choose, positive
 
 if TYPE_CHECKING:
     import mujoco

@@ -6,7 +6,7 @@ from typing import Any
 
 import mujoco
 
-from mjslq.dynamics._base import Output
+from mjslq.dynamics.dynamics import Output
 
 _POSITIONS = {
     mujoco.mjtJoint.mjJNT_FREE: (".x", ".y", ".z", ".qw", ".qx", ".qy", ".qz"),

@@ -28,12 +28,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from mjslq._validation import Array, as_array, choose, positive
-from mjslq.dynamics._base import Dynamics, Linearization, Output
+from mjslq.dynamics.dynamics import Dynamics, Linearization, Output
 from mjslq.dynamics.pinocchio import models
 from mjslq.dynamics.pinocchio.outputs import Readings
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array, as_array, choose, positive
 
 if TYPE_CHECKING:
     from mjslq.dynamics.pinocchio.horizon import Horizon

@@ -26,11 +26,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mjslq._validation import Array
-from mjslq.dynamics._base import Linearization
+from mjslq.dynamics.dynamics import Linearization
 from mjslq.dynamics.pinocchio import kernels
 from mjslq.dynamics.pinocchio.outputs import Readings
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array
 
 
 class Recorder:

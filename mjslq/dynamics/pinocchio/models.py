@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from mjslq._validation import Array, as_array, choose
 from mjslq.scene import Scene
+from mjslq.validation import Array, as_array, choose
 
 if TYPE_CHECKING:
     import mujoco

@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from mjslq._rotation import product
-from mjslq._validation import Array
-from mjslq.dynamics._base import Output
+from mjslq.dynamics.dynamics import Output
 from mjslq.dynamics.pinocchio import kernels
+from mjslq.rotation import product
+from mjslq.validation import Array
 
 ORIENTATION = ".orientation"
 _PREFERRED = ("BODY", "OP_FRAME", "FIXED_JOINT", "JOINT", "SENSOR")

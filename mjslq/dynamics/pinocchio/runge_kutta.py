@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from mjslq._validation import Array
 from mjslq.dynamics.pinocchio import kernels
 from mjslq.dynamics.pinocchio.horizon import Horizon, Recorder
+from mjslq.validation import Array
 
 Acceleration = Callable[[int, Array, Array], Array]
 

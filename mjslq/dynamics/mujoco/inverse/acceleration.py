@@ -61,7 +61,7 @@ from mjslq.dynamics.mujoco.inverse.rows.weights import add_weight_changes, weigh
 from mjslq.dynamics.mujoco.inverse.spatial import compiled
 from mjslq.dynamics.mujoco.inverse.table.columns import ARMATURE, TENDON_NUMBERS
 from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import _copy
+from mjslq.dynamics.mujoco.kernels import copy_into
 
 
 @compiled
@@ -220,7 +220,7 @@ def step_with_rows(job, x, count):
     plain = count == 0 and not (job.sensors_accelerated and 0 < job.implicit < 3)
     fine = smooth_step(job) if plain else _constrained_step(job, x)
     if plain and job.sensors_accelerated:
-        _copy(vector(job.acc_d, job.nv), vector(job.acc_c, job.nv))
+        copy_into(vector(job.acc_d, job.nv), vector(job.acc_c, job.nv))
         assign(matrix(job.acc_rate, job.nv, job.columns), matrix(job.F, job.nv, job.columns))
     return fine
 

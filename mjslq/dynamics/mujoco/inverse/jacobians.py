@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mjslq._validation import Array
-from mjslq.dynamics._base import Linearization
+from mjslq.dynamics.dynamics import Linearization
 from mjslq.dynamics.mujoco import kernels
 from mjslq.dynamics.mujoco.inverse.forces.remainder import covered_part, remainder, rest_part, rest_table
 from mjslq.dynamics.mujoco.inverse.readings.outputs import sensors
@@ -22,6 +21,7 @@ from mjslq.dynamics.mujoco.inverse.table.job import INDICES, JOB, VIEWS, WORK
 from mjslq.dynamics.mujoco.inverse.table.layout import offsets
 from mjslq.dynamics.mujoco.inverse.table.plan import arrays, plan, row_model
 from mjslq.dynamics.mujoco.library import copied
+from mjslq.validation import Array
 
 if TYPE_CHECKING:
     from mjslq.dynamics.mujoco.horizon import Horizon

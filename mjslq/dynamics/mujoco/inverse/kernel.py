@@ -34,16 +34,18 @@ from mjslq.dynamics.mujoco.inverse.rows.differences import mj_comPos, mj_kinemat
 from mjslq.dynamics.mujoco.inverse.spatial import compiled
 from mjslq.dynamics.mujoco.inverse.table.job import JOB, integers, matrix, vector
 from mjslq.dynamics.mujoco.kernels import (
-    _address,
-    _compiled,
-    _copy,
-    _number,
-    _void,
+    address_t,
+    c_function,
+    copy_into,
     mj_forward,
     mj_resetData,
+    number_t,
+    void_t,
 )
 
-mjd_quatIntegrate = types.ExternalFunction("mjd_quatIntegrate", _void(_address, _number, _address, _address, _address))
+mjd_quatIntegrate = types.ExternalFunction(
+    "mjd_quatIntegrate", void_t(address_t, number_t, address_t, address_t, address_t)
+)
 
 
 @compiled
@@ -109,10 +111,10 @@ def _turn_rows(job, first, v_next, A, B):
 @compiled
 def _load(job, x, u):
     """Put state and control into mjData."""
-    _copy(x[: job.nq], vector(job.qpos, job.nq))
-    _copy(x[job.nq : job.nq + job.nv], vector(job.qvel, job.nv))
-    _copy(x[job.nq + job.nv :], vector(job.act, job.na))
-    _copy(u, vector(job.ctrl, job.nu))
+    copy_into(x[: job.nq], vector(job.qpos, job.nq))
+    copy_into(x[job.nq : job.nq + job.nv], vector(job.qvel, job.nv))
+    copy_into(x[job.nq + job.nv :], vector(job.act, job.na))
+    copy_into(u, vector(job.ctrl, job.nu))
 
 
 @compiled
@@ -157,12 +159,12 @@ def _feel_last_knot(job, x, odd):
     for i in range(job.nv):
         warmstart[i] = 0.0
     mj_forward(job.model, job.data)
-    _copy(qacc, vector(job.acc_d, job.nv))
+    copy_into(qacc, vector(job.acc_d, job.nv))
     rows = find_rows(job) if job.constrained else 0
     if job.gyroscopic:
         find_spinning(job, rows)
     smooth_forces(job, x, odd)
-    _copy(qacc, vector(job.acc_c, job.nv))
+    copy_into(qacc, vector(job.acc_c, job.nv))
     mass_matrix(job, matrix(job.M, job.nv, job.nv))
     complete_inertia(job)
     if not differentiate_acceleration(job, x):
@@ -194,7 +196,7 @@ def _make_kernel(stamp: int, constrained: bool, feeling: bool, whole: bool) -> A
     # numba leaves out what stands behind an argument that is None, or a switch from out here that is False
     rows, odd = 1 if constrained else None, 1 if whole else None
 
-    @_compiled(_void(_address, _address, types.int32, types.voidptr))
+    @c_function(void_t(address_t, address_t, types.int32, types.voidptr))
     def inverse(_model, _data, worker, jobs):
         """Jacobians A, B, C, D of the knots first ... last - 1; knot N has only C."""
         if stamp == 0:  # it never is; what a function refers to is part of its key on disk

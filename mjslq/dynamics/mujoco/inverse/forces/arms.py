@@ -42,9 +42,9 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
 )  # fmt: skip
 from mjslq.dynamics.mujoco.inverse.table.columns import BAND, DAMPING, FORCE_NUMBERS, STIFFNESS, TENDON_NUMBERS
 from mjslq.dynamics.mujoco.inverse.table.job import flags, integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import _address, _copy, _void
+from mjslq.dynamics.mujoco.kernels import address_t, copy_into, void_t
 
-mj_transmission = types.ExternalFunction("mj_transmission", _void(_address, _address))
+mj_transmission = types.ExternalFunction("mj_transmission", void_t(address_t, address_t))
 
 
 @compiled
@@ -128,7 +128,7 @@ def _motion(moves, member, i, mark):
 def _difference(job):
     """G and L, column by column; afterwards mjData is at its pose again."""
     varied, qpos, pose = integers(job.arm_q, job.narm_q), vector(job.qpos, job.nq), vector(job.arm_pose, job.nq)
-    _copy(qpos, pose)
+    copy_into(qpos, pose)
     dofs, first = integers(job.arm_dof, job.narm_dof), integers(job.arm_first, job.narm + 1)
     at, G, L = integers(job.arm_at, job.narm), vector(job.arm_G, job.narm_square), vector(job.arm_L, job.narm_dof)
     J, plus, minus = (
@@ -163,7 +163,7 @@ def _pose(job, i, step):
     for j in range(job.nv):
         way[j] = 0.0
     way[i] = 1.0
-    _copy(vector(job.arm_pose, job.nq), vector(job.qpos, job.nq))
+    copy_into(vector(job.arm_pose, job.nq), vector(job.qpos, job.nq))
     if step != 0.0:
         mj_integratePos(job.model, job.qpos, way.ctypes.data, step)
     mj_kinematics(job.model, job.data)

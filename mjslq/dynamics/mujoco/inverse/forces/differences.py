@@ -22,17 +22,17 @@ from mjslq.dynamics.mujoco.inverse.rows.constraints import find_rows, mj_tendon
 from mjslq.dynamics.mujoco.inverse.rows.differences import mj_comPos, mj_integratePos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.spatial import compiled
 from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import _address, _copy, _void
+from mjslq.dynamics.mujoco.kernels import address_t, copy_into, void_t
 
-_step = _void(_address, _address)
+_step = void_t(address_t, address_t)
 mj_transmission = types.ExternalFunction("mj_transmission", _step)
 mj_passive = types.ExternalFunction("mj_passive", _step)
 mj_fwdActuation = types.ExternalFunction("mj_fwdActuation", _step)
 mj_Euler = types.ExternalFunction("mj_Euler", _step)
-mjd_smooth_vel = types.ExternalFunction("mjd_smooth_vel", _void(_address, _address, types.int32))
+mjd_smooth_vel = types.ExternalFunction("mjd_smooth_vel", void_t(address_t, address_t, types.int32))
 mju_mulMatVecSparse = types.ExternalFunction(
     "mju_mulMatVecSparse",
-    _void(_address, _address, _address, types.int32, _address, _address, _address, _address),
+    void_t(address_t, address_t, address_t, types.int32, address_t, address_t, address_t, address_t),
 )
 
 _POSITION, _VELOCITY, _ACTIVATION, _CONTROL = range(4)
@@ -153,9 +153,9 @@ def _evaluate(job, x, kind, out):
         act = vector(job.act, job.na)
         for k in range(job.na):
             out[2 * nv + k] = act[k]
-    _copy(x[: job.nq], vector(job.qpos, job.nq))
-    _copy(x[job.nq : job.nq + nv], vector(job.qvel, nv))
-    _copy(x[job.nq + nv :], vector(job.act, job.na))
+    copy_into(x[: job.nq], vector(job.qpos, job.nq))
+    copy_into(x[job.nq : job.nq + nv], vector(job.qvel, nv))
+    copy_into(x[job.nq + nv :], vector(job.act, job.na))
 
 
 @compiled

@@ -46,9 +46,9 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
 )  # fmt: skip
 from mjslq.dynamics.mujoco.inverse.table import columns
 from mjslq.dynamics.mujoco.inverse.table.job import entry_count, flags, integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import _address
+from mjslq.dynamics.mujoco.kernels import address_t
 
-mj_insideSite = types.ExternalFunction("mj_insideSite", types.int32(_address, _address, types.int32, _address))
+mj_insideSite = types.ExternalFunction("mj_insideSite", types.int32(address_t, address_t, types.int32, address_t))
 
 
 @compiled

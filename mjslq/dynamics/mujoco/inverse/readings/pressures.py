@@ -63,10 +63,10 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
 )  # fmt: skip
 from mjslq.dynamics.mujoco.inverse.table import columns
 from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import _address, _number
+from mjslq.dynamics.mujoco.kernels import address_t, number_t
 
 mju_rayGeom = types.ExternalFunction(
-    "mju_rayGeom", _number(_address, _address, _address, _address, _address, types.int32, _address)
+    "mju_rayGeom", number_t(address_t, address_t, address_t, address_t, address_t, types.int32, address_t)
 )
 
 IN_CONTACT, IN_WORLD, AT_SITE = range(3)

@@ -31,9 +31,9 @@ from mjslq.dynamics.mujoco.inverse.rows.differences import mj_comPos, mj_integra
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
 from mjslq.dynamics.mujoco.inverse.table import columns
 from mjslq.dynamics.mujoco.inverse.table.job import entry_count, integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import _address, _copy, _void
+from mjslq.dynamics.mujoco.kernels import address_t, copy_into, void_t
 
-_step = _void(_address, _address)
+_step = void_t(address_t, address_t)
 mj_camlight = types.ExternalFunction("mj_camlight", _step)
 mj_transmission = types.ExternalFunction("mj_transmission", _step)
 mj_makeM = types.ExternalFunction("mj_makeM", _step)
@@ -84,7 +84,7 @@ def difference_stages(job, n, x, on_contacts, C, D):
         if kinds[s] == columns.BY_DIFFERENCES:
             clear_rows(C, D, first[s], dims[s])
     _evaluate(job, x, types.int64(-1), 0.0, max(reach, ACCELERATION * job.sensors_cut), types.int64(POSITION))
-    _copy(vector(job.sensordata, job.ny), vector(job.middle, job.ny))
+    copy_into(vector(job.sensordata, job.ny), vector(job.middle, job.ny))
     # what is varied last need not be put back
     for start in range(max(job.sensors_differenced, min(reach, POSITION)), 0, -1):
         begin, end = (start - 1) * job.nv, start * job.nv
@@ -108,11 +108,11 @@ def _difference(job, x, c, reach, start, on_contacts, C, D):
         up = max(0.0, min(up, limits[c - ndx, 1] - u))
         down = min(0.0, max(down if up > 0.0 else -job.eps, limits[c - ndx, 0] - u))
     _evaluate(job, x, c, up, reach, start)
-    _copy(reading, plus)
+    copy_into(reading, plus)
     if down != 0.0 or job.centered:
         _evaluate(job, x, c, down, reach, start)
     else:
-        _copy(middle, reading)
+        copy_into(middle, reading)
     for s in range(job.nsensor):
         if _is_varied(job, s, start, on_contacts):
             for row in range(first[s], first[s] + dims[s]):
@@ -130,9 +130,9 @@ def _evaluate(job, x, c, step, reach, start):
     qpos, qvel, act, ctrl = (
         vector(job.qpos, nq), vector(job.qvel, nv), vector(job.act, na), vector(job.ctrl, job.nu)
     )  # fmt: skip
-    _copy(x[:nq], qpos)
-    _copy(x[nq : nq + nv], qvel)
-    _copy(x[nq + nv :], act)
+    copy_into(x[:nq], qpos)
+    copy_into(x[nq : nq + nv], qvel)
+    copy_into(x[nq + nv :], act)
     if reach == ACCELERATION:
         acc, acc_c, rate = vector(job.qacc, nv), vector(job.acc_c, nv), matrix(job.acc_rate, nv, job.columns)
         for i in range(nv):

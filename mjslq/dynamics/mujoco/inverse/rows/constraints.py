@@ -36,17 +36,17 @@ from mjslq.dynamics.mujoco.inverse.rows.impedance import fold_references
 from mjslq.dynamics.mujoco.inverse.spatial import add3, compiled, cross3, dot3, inlined, scale3, sub3
 from mjslq.dynamics.mujoco.inverse.table.columns import BY_LENGTHS, CONNECT, FIELD, PLANE, UNKNOWN, WELD
 from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import _address, _void
+from mjslq.dynamics.mujoco.kernels import address_t, void_t
 
-_step = _void(_address, _address)
+_step = void_t(address_t, address_t)
 mj_tendon = types.ExternalFunction("mj_tendon", _step)
 mj_collision = types.ExternalFunction("mj_collision", _step)
 mj_makeConstraint = types.ExternalFunction("mj_makeConstraint", _step)
 mj_comVel = types.ExternalFunction("mj_comVel", _step)
 mj_referenceConstraint = types.ExternalFunction("mj_referenceConstraint", _step)
-mj_mulJacVec = types.ExternalFunction("mj_mulJacVec", _void(_address, _address, _address, _address))
+mj_mulJacVec = types.ExternalFunction("mj_mulJacVec", void_t(address_t, address_t, address_t, address_t))
 mj_constraintUpdate = types.ExternalFunction(
-    "mj_constraintUpdate", _void(_address, _address, _address, _address, types.int32)
+    "mj_constraintUpdate", void_t(address_t, address_t, address_t, address_t, types.int32)
 )
 
 # mjtConstraint and mjtConstraintState

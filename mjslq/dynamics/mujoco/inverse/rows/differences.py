@@ -23,11 +23,11 @@ from mjslq.dynamics.mujoco.inverse.rows.pairs import WIDTH
 from mjslq.dynamics.mujoco.inverse.rows.weights import weigh_rows
 from mjslq.dynamics.mujoco.inverse.spatial import compiled
 from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, integers, vector
-from mjslq.dynamics.mujoco.kernels import _address, _copy, _number, _void
+from mjslq.dynamics.mujoco.kernels import address_t, copy_into, number_t, void_t
 
-mj_kinematics = types.ExternalFunction("mj_kinematics", _void(_address, _address))
-mj_comPos = types.ExternalFunction("mj_comPos", _void(_address, _address))
-mj_integratePos = types.ExternalFunction("mj_integratePos", _void(_address, _address, _address, _number))
+mj_kinematics = types.ExternalFunction("mj_kinematics", void_t(address_t, address_t))
+mj_comPos = types.ExternalFunction("mj_comPos", void_t(address_t, address_t))
+mj_integratePos = types.ExternalFunction("mj_integratePos", void_t(address_t, address_t, address_t, number_t))
 
 
 @compiled
@@ -101,7 +101,7 @@ def _pulls_at_velocity(job, total):
 def _evaluate_pose(job, x, way, eps, acc):
     """Make and evaluate the rows at the pose of x (+) eps way."""
     qpos = vector(job.qpos, job.nq)
-    _copy(x[: job.nq], qpos)
+    copy_into(x[: job.nq], qpos)
     if eps != 0.0:
         mj_integratePos(job.model, qpos.ctypes.data, way.ctypes.data, eps)
     mj_kinematics(job.model, job.data)

@@ -34,9 +34,9 @@ from mjslq.dynamics.mujoco.inverse.table.columns import (
     TENDON_NUMBERS,
 )
 from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import _address, _void
+from mjslq.dynamics.mujoco.kernels import address_t, void_t
 
-mju_subQuat = types.ExternalFunction("mju_subQuat", _void(_address, _address, _address))
+mju_subQuat = types.ExternalFunction("mju_subQuat", void_t(address_t, address_t, address_t))
 
 
 @compiled

@@ -26,7 +26,7 @@ import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.table.columns import FORCE_NUMBERS
 from mjslq.dynamics.mujoco.inverse.table.layout import ARENA, CONTACT, COUNTS
-from mjslq.dynamics.mujoco.kernels import _pointer
+from mjslq.dynamics.mujoco.kernels import pointer
 
 SIZES = (
     "N", "first", "last", "nq", "nv", "na", "nu", "ny", "columns", "nbody", "ngeom", "nsite", "nspring", "nball",
@@ -95,34 +95,34 @@ JOB = np.dtype(
 @numba.njit(forceinline=True)
 def integers(address, size):
     """Array of 64-bit integers at an address. Shape (size,)."""
-    return numba.carray(_pointer(address), (size,), np.int64)
+    return numba.carray(pointer(address), (size,), np.int64)
 
 
 @numba.njit(forceinline=True)
 def vector(address, size):
     """Array of numbers at an address. Shape (size,)."""
-    return numba.carray(_pointer(address), (size,), np.float64)
+    return numba.carray(pointer(address), (size,), np.float64)
 
 
 @numba.njit(forceinline=True)
 def matrix(address, rows, columns):
     """Matrix of numbers at an address. Shape (rows, columns)."""
-    return numba.carray(_pointer(address), (rows, columns), np.float64)
+    return numba.carray(pointer(address), (rows, columns), np.float64)
 
 
 @numba.njit(forceinline=True)
 def flags(address, size):
     """Array of C integers at an address. Shape (size,)."""
-    return numba.carray(_pointer(address), (size,), np.int32)
+    return numba.carray(pointer(address), (size,), np.int32)
 
 
 @numba.njit(forceinline=True)
 def entry_address(address):
     """Pointer that is kept at an address."""
-    return numba.carray(_pointer(address), (1,), np.int64)[0]
+    return numba.carray(pointer(address), (1,), np.int64)[0]
 
 
 @numba.njit(forceinline=True)
 def entry_count(address):
     """C integer that is kept at an address."""
-    return numba.carray(_pointer(address), (1,), np.int32)[0]
+    return numba.carray(pointer(address), (1,), np.int32)[0]

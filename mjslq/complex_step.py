@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.exceptions import ComplexWarning
 
-from mjslq._validation import Array
+from mjslq.validation import Array
 
 TINY = 1e-40
 

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mjslq._complex import complex_step, refused_complex
-from mjslq._quadratic import add_congruence, transposed_times, weighted
-from mjslq._rotation import conjugate, inverse_right_jacobian, log, product
-from mjslq._validation import Array
-from mjslq.dynamics._base import Dynamics, Linearization
+from mjslq.complex_step import complex_step, refused_complex
+from mjslq.dynamics.dynamics import Dynamics, Linearization
+from mjslq.quadratic import add_congruence, transposed_times, weighted
+from mjslq.rotation import conjugate, inverse_right_jacobian, log, product
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array
 
 Derivative = Callable[..., Any] | None
 """A user's derivative, where one is given."""

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from mjslq.solvers._iterate import Iterate
+from mjslq.solvers.iterate import Iterate
 
 Slope = Callable[[Iterate, float], float]
 

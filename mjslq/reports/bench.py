@@ -21,17 +21,17 @@ from typing import Any
 import numpy as np
 
 from mjslq import problems
-from mjslq._solve import solve
-from mjslq._validation import Array
 from mjslq.costs import Control, State
-from mjslq.dynamics._base import Dynamics, fine_reference
+from mjslq.dynamics.dynamics import Dynamics, fine_reference
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.dynamics.mujoco.engine import usable_cores
 from mjslq.lq.riccati import LQProblem
 from mjslq.lq.riccati import solve as sweep
+from mjslq.optimize import solve
 from mjslq.problem import Problem
-from mjslq.solvers._iterate import Iterate
+from mjslq.solvers.iterate import Iterate
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array
 
 BUDGET = 0.6
 """Time spent on repeating one measurement, at most. [s]"""

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mjslq._validation import Array
 from mjslq.robots import robot_spec
+from mjslq.validation import Array
 
 if TYPE_CHECKING:
     import mujoco

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from mjslq._validation import Array
+from mjslq.validation import Array
 
 
 def weighted(s: Array, W: Array, d: Array) -> Array:

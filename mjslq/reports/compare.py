@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from mjslq._files import atomic_write
-from mjslq._solve import METHODS, solve
-from mjslq._validation import Array, choose
+from mjslq.files import atomic_write
+from mjslq.optimize import METHODS, solve
 from mjslq.problem import Problem
 from mjslq.result import Result
+from mjslq.validation import Array, choose
 
 FORMATS = (".png", ".svg", ".pdf")
 

@@ -19,12 +19,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mjslq._validation import choose, positive
 from mjslq.lq.riccati import LQProblem, LQSolution, NotPositiveDefinite, solve
-from mjslq.solvers._advance import Advance, kind_of_step, take
-from mjslq.solvers._iterate import Direction, Iterate
-from mjslq.solvers._linesearch import C1, in_roundoff
-from mjslq.solvers._loop import Accepted
+from mjslq.solvers.advance import Advance, kind_of_step, take
+from mjslq.solvers.iterate import Direction, Iterate
+from mjslq.solvers.linesearch import C1, in_roundoff
+from mjslq.solvers.loop import Accepted
+from mjslq.validation import choose, positive
 
 KINDS = ("control", "state")
 START = 1e-3

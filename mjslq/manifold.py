@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from mjslq._rotation import conjugate, exp, inverse_right_jacobian, log, product
-from mjslq._validation import Array
+from mjslq.rotation import conjugate, exp, inverse_right_jacobian, log, product
+from mjslq.validation import Array
 
 
 @dataclass(frozen=True)

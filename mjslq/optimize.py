@@ -12,16 +12,14 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjslq._validation import Array, as_array, choose
+from mjslq.log import IterationLog
 from mjslq.problem import Problem
-from mjslq.result import IterationLog, Result
-from mjslq.solvers import gradient as _gradient
-from mjslq.solvers import newton as _newton
-from mjslq.solvers import slq as _slq
-from mjslq.solvers import trust_region as _trust_region
-from mjslq.solvers._iterate import Iterate
-from mjslq.solvers._loop import Monitor, Outcome, Stopping
-from mjslq.solvers._shooting import close_gaps, shortened
+from mjslq.result import Result
+from mjslq.solvers import gradient, newton, slq, trust_region
+from mjslq.solvers.iterate import Iterate
+from mjslq.solvers.loop import Monitor, Outcome, Stopping
+from mjslq.solvers.shooting import close_gaps, shortened
+from mjslq.validation import Array, as_array, choose
 
 
 @dataclass(frozen=True)
@@ -45,14 +43,14 @@ class Method:
 
 
 METHODS = {
-    "slq": Method(_slq.slq, "Gauss-Newton by LQ tracking sweeps, with a line search", "first derivatives", "first"),
+    "slq": Method(slq.slq, "Gauss-Newton by LQ tracking sweeps, with a line search", "first derivatives", "first"),
     "newton": Method(
-        _newton.newton, "Newton by LQ sweeps, made to descend, with a line search", "second derivatives", "second"
+        newton.newton, "Newton by LQ sweeps, made to descend, with a line search", "second derivatives", "second"
     ),
     "trust-region": Method(
-        _trust_region.trust_region, "second-order model, minimized over a ball whose size adapts", "second derivatives"
+        trust_region.trust_region, "second-order model, minimized over a ball whose size adapts", "second derivatives"
     ),
-    "gradient": Method(_gradient.gradient, "steepest descent with exact line search", "first derivatives"),
+    "gradient": Method(gradient.gradient, "steepest descent with exact line search", "first derivatives"),
 }
 
 

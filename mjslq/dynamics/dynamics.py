@@ -25,8 +25,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjslq._validation import Array, as_array
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array, as_array
 
 if TYPE_CHECKING:
     from mjslq.scene import Scene

@@ -25,10 +25,10 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 
+from mjslq.log import IterationLog
 from mjslq.lq.riccati import NotPositiveDefinite
-from mjslq.result import IterationLog
-from mjslq.solvers._iterate import Direction, Iterate
-from mjslq.solvers._status import Status
+from mjslq.solvers.iterate import Direction, Iterate
+from mjslq.status import Status
 from mjslq.trajectory import Trajectory
 
 

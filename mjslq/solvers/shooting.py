@@ -28,18 +28,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjslq._validation import Array
 from mjslq.costs import Expansion
-from mjslq.dynamics._base import Linearization
+from mjslq.dynamics.dynamics import Linearization
+from mjslq.log import IterationLog
 from mjslq.lq.modified import convexified
 from mjslq.lq.riccati import LQProblem, LQSolution, NotPositiveDefinite
 from mjslq.problem import Problem
-from mjslq.result import IterationLog
-from mjslq.solvers._iterate import Iterate
-from mjslq.solvers._loop import Monitor, Stopping
-from mjslq.solvers._status import Status
+from mjslq.solvers.iterate import Iterate
+from mjslq.solvers.loop import Monitor, Stopping
 from mjslq.solvers.newton import by_multiplier, convex_solution
+from mjslq.status import Status
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array
 
 CLOSED = 1e-4
 """Largest gap, relative to the largest entry of the states, that the rollout at the end closes."""

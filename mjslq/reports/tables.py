@@ -12,7 +12,7 @@ from mjslq.problem import Problem
 from mjslq.result import Result
 
 if TYPE_CHECKING:
-    from mjslq.bench import Row
+    from mjslq.reports.bench import Row
 
 
 def print_summary(result: Result, problem: Problem) -> None:

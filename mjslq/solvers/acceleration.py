@@ -14,8 +14,8 @@ Source: Shah, Buehler and Kempthorne 1964, "Some algorithms for minimizing a fun
 
 from __future__ import annotations
 
-from mjslq._validation import Array
-from mjslq.solvers._iterate import Iterate
+from mjslq.solvers.iterate import Iterate
+from mjslq.validation import Array
 
 SMALL = 0.3
 """Fraction tried where the whole previous change does not help."""

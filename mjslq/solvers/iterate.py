@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjslq._validation import Array
 from mjslq.costs import Expansion
-from mjslq.dynamics._base import Linearization
+from mjslq.dynamics.dynamics import Linearization
 from mjslq.lq.adjoint import adjoint
 from mjslq.lq.riccati import LQProblem
 from mjslq.problem import Problem
 from mjslq.trajectory import Trajectory
+from mjslq.validation import Array
 
 
 class Direction(NamedTuple):

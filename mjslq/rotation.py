@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjslq._validation import Array
+from mjslq.validation import Array
 
 
 def conjugate(q: Array) -> Array:

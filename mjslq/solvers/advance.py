@@ -5,18 +5,18 @@
                                                                       systems need
     auto            closed loop on the engines that simulate robots, open loop elsewhere
 
-Steps that had to be shortened are followed by a search along the previous change of the controls (`_acceleration`).
+Steps that had to be shortened are followed by a search along the previous change of the controls (`acceleration`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from mjslq._validation import Array, choose
-from mjslq.solvers._acceleration import accelerate
-from mjslq.solvers._iterate import Direction, Iterate
-from mjslq.solvers._linesearch import SEARCHES, Trial, in_roundoff, search
-from mjslq.solvers._loop import Accepted
+from mjslq.solvers.acceleration import accelerate
+from mjslq.solvers.iterate import Direction, Iterate
+from mjslq.solvers.linesearch import SEARCHES, Trial, in_roundoff, search
+from mjslq.solvers.loop import Accepted
+from mjslq.validation import Array, choose
 
 SHORT = 0.5
 """Steps below this are followed by the search along the previous change: there the model is poor."""

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from mjslq import problems
-from mjslq._solve import solve
-from mjslq.compare import compare, plot
+from mjslq.optimize import solve
+from mjslq.reports.compare import compare, plot
 from mjslq.result import Result
 
 
