@@ -24,6 +24,9 @@ It is kept between bounds: below, multipliers with which the sweep fails or v is
 v is too short. In the hard case (v is too short for all alpha with H + alpha W positive definite) the eigenvector z
 of H + alpha W next to zero is found by inverse iteration, and v + tau z with ||v + tau z|| = Delta taken.
 
+Limits of the controls are kept by solving each of these problems in the box (`lq.box`); w is then zero for the controls
+that a limit holds.
+
 Source: More and Sorensen 1983, "Computing a trust region step"; Conn, Gould and Toint 2000, section 7.3.
 """
 
@@ -34,7 +37,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjslq.lq.riccati import LQProblem, LQSolution, NotPositiveDefinite, solve
+from mjslq.lq.box import Box, BoxSolution, solve_in_box
+from mjslq.lq.problem import LQProblem, NotPositiveDefinite
+from mjslq.lq.riccati import solve
 from mjslq.validation import Array
 
 EXACT = 1e-8
@@ -46,82 +51,90 @@ ROUNDS = 200
 class BallSolution(NamedTuple):
     """Minimizer over the ball."""
 
-    U: Array
-    """v. Shape (N, nu)."""
-    k: Array
-    """The same as feedforward beside the gains. Shape (N, nu)."""
-    K: Array
-    """Feedback gains of the sweep with the multiplier. Shape (N, nu, nx)."""
+    found: BoxSolution
+    """The sweep with the multiplier; its controls are v."""
     multiplier: float
     """alpha; zero when the ball does not limit."""
     value: float
     """Q(v), not positive."""
 
 
-def solve_in_ball(problem: LQProblem, radius: float, weights: Array, guess: float = 0.0) -> BallSolution:
-    """Minimize the LQ problem over the ball of `radius` in the norm of `weights` (N,).
+class _Ball(NamedTuple):
+    """A problem, its limits and the norm, for the functions below."""
+
+    problem: LQProblem
+    box: Box
+    radius: float
+    weights: Array
+
+    def norm(self, U: Array) -> float:
+        return math.sqrt(float(self.weights @ (U * U).sum(axis=1)))
+
+    def sweep(self, alpha: float) -> BoxSolution | None:
+        """v(alpha), None where there is none."""
+        try:
+            found = solve_in_box(self.problem, self.box, alpha * self.weights)
+        except NotPositiveDefinite:
+            return None
+        return found if np.isfinite(found.lq.U).all() else None
+
+    def solution(self, found: BoxSolution, alpha: float) -> BallSolution:
+        return BallSolution(found, alpha, self.problem.value(found.lq.X, found.lq.U))
+
+    def inverse(self, alpha: float, side: Array, found: BoxSolution) -> Array | None:
+        """(H + alpha W)^-1 `side` on the controls that `found` does not hold, zero on the others."""
+        zeros = self.problem._replace(
+            q=np.zeros_like(self.problem.q), r=np.ascontiguousarray(-side), c=np.zeros_like(self.problem.c)
+        )
+        try:
+            return solve(zeros, alpha * self.weights, held=found.held).U
+        except NotPositiveDefinite:
+            return None
+
+
+def solve_in_ball(problem: LQProblem, box: Box, radius: float, weights: Array, guess: float = 0.0) -> BallSolution:
+    """Minimize the LQ problem within `box` over the ball of `radius` in the norm of `weights` (N,).
 
     `guess` is a multiplier to try early, such as that of a similar problem.
 
     Raises NotPositiveDefinite when no multiplier makes the problem convex, as with entries that are not finite.
     """
-    found = _sweep(problem, 0.0, weights)
-    if found is not None and _norm(found.U, weights) <= radius * (1.0 + EXACT):
-        return BallSolution(found.U, found.k, found.K, 0.0, model_value(problem, found.U))
+    ball = _Ball(problem, box, radius, weights)
+    found = ball.sweep(0.0)
+    if found is not None and ball.norm(found.lq.U) <= radius * (1.0 + EXACT):
+        return ball.solution(found, 0.0)
     low, high, short = 0.0, math.inf, None
-    alpha = guess if guess > 0.0 else 1e-3 * _scale(problem, weights)
+    alpha = guess if guess > 0.0 else 1e-3 * _unit(problem, weights)
     if found is not None:
-        alpha = _newton_step(problem, 0.0, found, radius, weights)
+        alpha = _newton_step(ball, 0.0, found)
     for _ in range(ROUNDS):
-        found = _sweep(problem, alpha, weights)
-        length = math.inf if found is None else _norm(found.U, weights)
+        found = ball.sweep(alpha)
+        length = math.inf if found is None else ball.norm(found.lq.U)
         if found is not None and abs(length - radius) <= EXACT * radius:
-            return BallSolution(found.U, found.k, found.K, alpha, model_value(problem, found.U))
+            return ball.solution(found, alpha)
         if length > radius:
             low = alpha
         else:
             high, short = alpha, found
         if math.isfinite(high) and high - low <= 1e-12 * high:
             break
-        following = -1.0 if found is None else _newton_step(problem, alpha, found, radius, weights)
+        following = -1.0 if found is None else _newton_step(ball, alpha, found)
         alpha = following if low < following < high else _between(low, high)
         if not math.isfinite(alpha) or alpha > 1e300:
             raise NotPositiveDefinite(0)
     if short is None:
         raise NotPositiveDefinite(0)
-    return _to_the_border(problem, high, short, radius, weights)
+    return _to_the_border(ball, high, short)
 
 
-def model_value(problem: LQProblem, U: Array) -> float:
-    """Q(v): the cost of the controls `U` in the LQ problem."""
-    X = _states(problem, U)
-    _, _, Q, R, M, q, r, _ = problem
-    quadratic = np.einsum("ni,nij,nj", X, Q, X) + np.einsum("ni,nij,nj", U, R, U)
-    return float(np.vdot(q, X) + np.vdot(r, U) + 0.5 * quadratic + np.einsum("ni,nij,nj", U, M, X[:-1]))
-
-
-def _sweep(problem: LQProblem, alpha: float, weights: Array) -> LQSolution | None:
-    R = problem.R + alpha * weights[:, None, None] * np.eye(problem.R.shape[1])
-    try:
-        found = solve(problem._replace(R=R))
-    except NotPositiveDefinite:
-        return None
-    return found if np.isfinite(found.U).all() else None
-
-
-def _newton_step(problem: LQProblem, alpha: float, found: LQSolution, radius: float, weights: Array) -> float:
+def _newton_step(ball: _Ball, alpha: float, found: BoxSolution) -> float:
     """Multiplier that Newton's method for phi = 0 goes to."""
-    Wv = weights[:, None] * found.U
-    shifted = _sweep(_with_right_side(problem, Wv), alpha, weights)
-    length, curvature = _norm(found.U, weights), 0.0 if shifted is None else float(np.vdot(Wv, shifted.U))
+    Wv = ball.weights[:, None] * found.lq.U
+    w = ball.inverse(alpha, Wv, found)
+    length, curvature = ball.norm(found.lq.U), 0.0 if w is None else float(np.vdot(Wv, w))
     if not curvature > 0.0:
         return -1.0
-    return alpha + length**2 / curvature * (length - radius) / radius
-
-
-def _with_right_side(problem: LQProblem, side: Array) -> LQProblem:
-    """The problem whose solution is (H + alpha W)^-1 `side`."""
-    return problem._replace(q=np.zeros_like(problem.q), r=-side, c=np.zeros_like(problem.c))
+    return alpha + length**2 / curvature * (length - ball.radius) / ball.radius
 
 
 def _between(low: float, high: float) -> float:
@@ -130,35 +143,25 @@ def _between(low: float, high: float) -> float:
     return math.sqrt(low * high) if low > 1e-6 * high else max(1e-3 * high, 0.5 * (low + 1e-3 * high))
 
 
-def _to_the_border(problem: LQProblem, alpha: float, short: LQSolution, radius: float, weights: Array) -> BallSolution:
+def _to_the_border(ball: _Ball, alpha: float, short: BoxSolution) -> BallSolution:
     """The hard case: go on to the border along the direction of least curvature, to the side of the lower value."""
-    z = np.random.default_rng(0).standard_normal(short.U.shape)
+    problem, weights, v = ball.problem, ball.weights[:, None], short.lq.U
+    z = np.where(short.held, 0.0, np.random.default_rng(0).standard_normal(v.shape))
     for _ in range(3):
-        further = _sweep(_with_right_side(problem, weights[:, None] * z), alpha, weights)
-        if further is None:
+        further = ball.inverse(alpha, weights * z, short)
+        if further is None or not further.any():
             break
-        z = further.U / _norm(further.U, weights)
-    z /= _norm(z, weights)
-    inner, missing = float(np.vdot(weights[:, None] * short.U, z)), radius**2 - _norm(short.U, weights) ** 2
+        z = further / ball.norm(further)
+    z /= max(ball.norm(z), 1e-300)
+    inner, missing = float(np.vdot(weights * v, z)), ball.radius**2 - ball.norm(v) ** 2
     root = math.sqrt(inner**2 + max(missing, 0.0))
-    candidates = [short.U + tau * z for tau in (-inner + root, -inner - root)]
-    value, U = min(((model_value(problem, U), U) for U in candidates), key=lambda pair: pair[0])
-    k = U + np.einsum("nij,nj->ni", short.K, _states(problem, U)[:-1])
-    return BallSolution(U, k, short.K, alpha, value)
+    candidates = [ball.box.clip(v + tau * z) for tau in (-inner + root, -inner - root)]
+    U = min(candidates, key=lambda U: problem.value(problem.states(U), U))
+    X = problem.states(U)
+    k = U + np.einsum("nij,nj->ni", short.lq.K, X[:-1])
+    return ball.solution(short._replace(lq=short.lq._replace(X=X, U=U, k=k)), alpha)
 
 
-def _states(problem: LQProblem, U: Array) -> Array:
-    """States of the LQ problem under the controls `U`. Shape (N + 1, nx)."""
-    X = np.zeros_like(problem.q)
-    for n in range(len(U)):
-        X[n + 1] = problem.A[n] @ X[n] + problem.B[n] @ U[n] + problem.c[n]
-    return X
-
-
-def _norm(U: Array, weights: Array) -> float:
-    return math.sqrt(float(weights @ (U * U).sum(axis=1)))
-
-
-def _scale(problem: LQProblem, weights: Array) -> float:
+def _unit(problem: LQProblem, weights: Array) -> float:
     """Size of the control weights, in the units of alpha."""
     return max(1e-9, float(np.abs(problem.R / weights[:, None, None]).max(initial=0.0)))

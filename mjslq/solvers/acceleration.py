@@ -25,12 +25,14 @@ LONGEST = 1024.0
 
 def accelerate(here: Iterate, change: Array) -> tuple[Iterate, int]:
     """Search from `here` along `change` (N, nu); return the best iterate found and the rollouts spent."""
-    problem, spent = here.problem, 0
+    spent = 0
 
     def phi(beta: float) -> Iterate:
         nonlocal spent
         spent += 1
-        return Iterate(problem, problem.rollout(here.trajectory.U + beta * change))
+        U = here.problem.box.clip(here.trajectory.U + beta * change)
+        x0 = here.trajectory.X[:1]
+        return Iterate(here.problem, here.problem.dynamics.rollouts(x0, U[None])[0])
 
     for sign in (1.0, -1.0):
         best, beta = here, sign

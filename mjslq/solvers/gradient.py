@@ -1,22 +1,22 @@
 """`gradient`: steepest descent with exact line search, the yardstick of the papers.
 
-    U <- U - t dJ/dU,    t > 0 the minimizer of the cost along the ray
+    U <- [ U - t dJ/dU ],    t > 0 the minimizer of the cost along the ray, clipped to the limits of the controls
 
 The gradient comes from the adjoint recursion (Sideris and Bobrow 2005, (8)-(10)). The search is over (0, 1] of a
 direction that is four times as long as the step before, and over four times as much while the minimum lies at the
-border; the first direction is as long as the controls, or one. Steps are open-loop: there is no feedback to go with
-a gradient, and the gains of the result are zero.
+border; the first direction is as long as the controls, or one. Steps are open loop: there is no feedback to go with
+a gradient, and the result has no gains.
 """
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
-from mjslq.solvers.advance import line_searching
+from mjslq.options import GradientOptions, Search
 from mjslq.solvers.iterate import Direction, Iterate
-from mjslq.solvers.loop import Accepted, Monitor, Outcome, Stopping, descend
+from mjslq.solvers.merit import Merit
+from mjslq.solvers.method import Step
+from mjslq.solvers.steps import LineSearch
 
 GROWTH = 4.0
 """Length offered to the search, relative to the step taken before."""
@@ -26,30 +26,40 @@ LONGEST = 1e6
 """Multiple of the first length offered beyond which no step goes."""
 
 
-def gradient(start: Iterate, stopping: Stopping, monitor: Monitor) -> Outcome:
-    """Minimize from `start`. The direction's length says nothing here: only the gradient's ends the search."""
-    search = line_searching(start, "exact", "open-loop", False)
-    length = max(1.0, float(np.linalg.norm(start.trajectory.U)))
+class Gradient:
+    """The method, with the length that it offers next; see `solvers.method.Method`."""
 
-    def direction(here: Iterate) -> Direction:
-        N, nu = here.trajectory.U.shape
-        change = -length / max(here.gradient_norm, 1e-300) * here.gradient
-        return Direction(change, change, np.zeros((N, nu, here.problem.dynamics.ndx)))
+    tests_direction = False  # its length says nothing here
 
-    def advance(here: Iterate, ahead: Direction) -> tuple[Accepted | None, int]:
-        nonlocal length
-        accepted, total, reach = None, 0, 1.0
+    def __init__(self, options: GradientOptions) -> None:
+        self.search = LineSearch(Search(line_search="exact", step="open-loop", acceleration=False))
+        self._length: float | None = None
+
+    def direction(self, here: Iterate) -> Direction:
+        """The projected gradient, as long as the search is to reach."""
+        if self._length is None:
+            self._length = max(1.0, float(np.linalg.norm(here.trajectory.U)))
+        change = -self._length / max(here.gradient_norm, 1e-300) * here.projected_gradient
+        expected = float(np.vdot(here.gradient, change))
+        held = here.box.pushed(np.zeros_like(change), here.gradient)
+        return Direction(here.gauss_newton.states(change), change, change, None, here.costates, expected, held)
+
+    def step(self, here: Iterate, direction: Direction, merit: Merit) -> Step:
+        """Search, further out while the minimum lies at the border."""
+        best, spent, reach = Step(None), 0, 1.0
         while reach < LONGEST:
-            found, spent = search(here, ahead._replace(U=reach * ahead.U))
-            total += spent
-            if found is None or (accepted is not None and found.iterate.cost >= accepted.iterate.cost):
+            found = self.search(here, direction._replace(U=reach * direction.U), merit)
+            spent += found.rollouts
+            if found.iterate is None or (best.iterate is not None and found.iterate.cost >= best.iterate.cost):
                 break
-            accepted = Accepted(reach * found.alpha, found.iterate)
+            best = Step(found.iterate, reach * found.alpha)
             if found.alpha < BORDER:
                 break
-            reach *= GROWTH  # the minimum is further out
-        if accepted is not None:
-            length *= GROWTH * accepted.alpha
-        return accepted, total
+            reach *= GROWTH
+        if best.iterate is not None and self._length is not None:
+            self._length *= GROWTH * best.alpha
+        return Step(best.iterate, best.alpha, spent)
 
-    return descend(start, direction, advance, dataclasses.replace(stopping, tol_direction=0.0), monitor)
+    def remark(self) -> str:
+        """Nothing."""
+        return ""

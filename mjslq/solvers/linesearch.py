@@ -2,13 +2,13 @@
 
 Notation
 --------
-    phi(alpha)   cost after a step of size alpha       phi'(0) = slope < 0
+    phi(alpha)   merit after a step of size alpha      phi'(0) = slope < 0
     c1, c2       sufficient decrease, curvature
 
     armijo          halve alpha until phi(alpha) <= phi(0) + c1 alpha phi'(0)
     goldstein       also phi(alpha) >= phi(0) + (1 - c1) alpha phi'(0): not too short, by bisection
     wolfe           armijo, and |phi'(alpha)| <= c2 |phi'(0)| (strong), by bisection
-    quadratic-fit   alpha = 1 where phi(1) - phi(0) is about phi'(0)/2, as a good model has it; else the minimum of the
+    quadratic-fit   alpha = 1 where phi(1) - phi(0) is about what the model expects; else the minimum of the
                     parabola through phi at 0, alpha/2, alpha, where alpha shrinks until one of them descends
     exact           minimum over (0, 1] by a scan and Brent's method (scipy.optimize.minimize_scalar)
 
@@ -29,6 +29,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from mjslq.solvers.iterate import Iterate
+from mjslq.solvers.merit import Merit
 
 Slope = Callable[[Iterate, float], float]
 
@@ -36,7 +37,7 @@ C1 = 1e-4
 C1_GOLDSTEIN = 0.1
 C2 = 0.9
 TRUST = 0.1
-"""Relative error of the decrease that a model promises, up to which its step is taken as it is."""
+"""Relative error of the decrease that a model expects, up to which its step is taken as it is."""
 SMALLEST = 1e-10
 """Step below which a search gives up."""
 ROUNDOFF = 1e-9
@@ -47,14 +48,16 @@ class Trial:
 
     def __init__(
         self,
+        merit: Merit,
         here: Iterate,
         slope: float,
+        expected: float,
         step: Callable[[Sequence[float]], Sequence[Iterate]],
         slope_at: Slope | None = None,
         at_once: int = 1,
     ) -> None:
-        self.here, self.slope = here, slope
-        self.evaluations = 0
+        self.here, self.slope, self.expected = here, slope, expected
+        self._merit, self.start = merit, merit.value(here)
         self._step, self._slope_at, self._at_once = step, slope_at, at_once
         self._known: dict[float, Iterate] = {}
         self._asked: dict[float, Iterate] = {}
@@ -66,7 +69,7 @@ class Trial:
         return self._known[alpha]
 
     def ahead(self, *alphas: float) -> None:
-        """Try steps that will be asked for soon side by side, as many as the engine runs at once."""
+        """Simulate steps that will be asked for soon side by side, as many as the engine runs at once."""
         if self._at_once > 1:
             self._try(alphas[: self._at_once])
 
@@ -74,16 +77,20 @@ class Trial:
         new = [alpha for alpha in alphas if alpha not in self._known]
         if new:
             self._known.update(zip(new, self._step(new), strict=True))
-            self.evaluations += len(new)
+
+    @property
+    def evaluations(self) -> int:
+        """Rollouts that the search asked for; what threads tried ahead of need does not count."""
+        return len(self._asked)
 
     def cost(self, alpha: float) -> float:
         """phi(alpha); infinite where the rollout diverges."""
-        return self(alpha).cost
+        return self._merit.value(self(alpha))
 
     def descends(self, alpha: float, c: float) -> bool:
         """Sufficient decrease, phi(alpha) <= phi(0) + c alpha phi'(0), by more than nothing."""
         cost = self.cost(alpha)
-        return cost < self.here.cost and cost <= self.here.cost + c * alpha * self.slope
+        return cost < self.start and cost <= self.start + c * alpha * self.slope
 
     def slope_at(self, alpha: float) -> float:
         """phi'(alpha), by a difference unless the step offers better."""
@@ -93,23 +100,23 @@ class Trial:
         return (self.cost(alpha + e) - self.cost(alpha - e)) / (2.0 * e)
 
     def best(self) -> float:
-        """Step of least cost among those asked for: what was tried ahead of need must not change the outcome."""
-        return min(self._asked, key=lambda alpha: self._asked[alpha].cost)
+        """Step of least cost among those asked for: results must not depend on the number of threads."""
+        return min(self._asked, key=lambda alpha: self._merit.value(self._asked[alpha]))
 
 
-class Step(NamedTuple):
-    """An accepted step."""
+class Found(NamedTuple):
+    """What a search found."""
 
     alpha: float
     iterate: Iterate
 
 
-def search(name: str, trial: Trial) -> Step | None:
+def search(name: str, trial: Trial) -> Found | None:
     """Find a step by the search called `name`; None when none down to `SMALLEST` will do."""
-    alpha = by_gradient_norm(trial) if in_roundoff(trial.slope, trial.here.cost) else None
+    alpha = by_gradient_norm(trial) if in_roundoff(trial.slope, trial.start) else None
     if alpha is None:
         alpha = SEARCHES[name](trial)
-    return None if alpha is None else Step(float(alpha), trial(alpha))
+    return None if alpha is None else Found(float(alpha), trial(alpha))
 
 
 def in_roundoff(slope: float, cost: float) -> bool:
@@ -119,7 +126,7 @@ def in_roundoff(slope: float, cost: float) -> bool:
 
 def by_gradient_norm(trial: Trial) -> float | None:
     """The roundoff rule: halve alpha until the gradient is smaller than here and the cost no higher than rounding."""
-    alpha, tolerated = 1.0, trial.here.cost + 10.0 * ROUNDOFF * abs(trial.here.cost)
+    alpha, tolerated = 1.0, trial.start + 10.0 * ROUNDOFF * abs(trial.start)
     while alpha > 1e-3:
         there = trial(alpha)
         if there.cost <= tolerated and there.gradient_norm < trial.here.gradient_norm:
@@ -145,7 +152,7 @@ def goldstein(trial: Trial) -> float | None:
     for _ in range(60):
         if not trial.descends(alpha, C1_GOLDSTEIN):
             high = alpha
-        elif trial.cost(alpha) < trial.here.cost + (1.0 - C1_GOLDSTEIN) * alpha * trial.slope and alpha < 1.0:
+        elif trial.cost(alpha) < trial.start + (1.0 - C1_GOLDSTEIN) * alpha * trial.slope and alpha < 1.0:
             low = alpha
         else:
             return alpha
@@ -178,15 +185,14 @@ def wolfe(trial: Trial) -> float | None:
 def quadratic_fit(trial: Trial) -> float | None:
     """Minimum of a parabola through three points, or the best of the points themselves.
 
-    The full step is taken at once where it brings what a quadratic model with its minimum there promises.
+    The full step is taken at once where it brings what the model expects of it.
     """
-    promised = 0.5 * trial.slope
-    if abs(trial.cost(1.0) - trial.here.cost - promised) <= TRUST * abs(promised):
+    if abs(trial.cost(1.0) - trial.start - trial.expected) <= TRUST * abs(trial.expected):
         return 1.0
     alpha = 1.0
     while alpha > SMALLEST:
         trial.ahead(alpha, 0.5 * alpha, 0.25 * alpha, 0.125 * alpha)
-        start, middle, end = trial.here.cost, trial.cost(0.5 * alpha), trial.cost(alpha)
+        start, middle, end = trial.start, trial.cost(0.5 * alpha), trial.cost(alpha)
         if min(middle, end) < start:
             curvature = start - 2.0 * middle + end
             if math.isfinite(curvature) and curvature > 0.0:
@@ -203,7 +209,7 @@ def exact(trial: Trial) -> float | None:
     trial.ahead(*grid)
     costs = [trial.cost(alpha) for alpha in grid]
     least = min(range(len(grid)), key=costs.__getitem__)
-    if not costs[least] < trial.here.cost:
+    if not costs[least] < trial.start:
         return armijo(trial)
     upper = grid[max(least - 1, 0)]
     lower = grid[least + 1] if least + 1 < len(grid) else 0.0

@@ -38,128 +38,111 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mjslq.lq.modified import convexified
-from mjslq.lq.modified import modification as stage_modification
-from mjslq.lq.riccati import LQProblem, LQSolution, NotPositiveDefinite, solve
-from mjslq.solvers.advance import line_searching
-from mjslq.solvers.damping import Damping
+from mjslq.lq.box import Box, solve_in_box
+from mjslq.lq.problem import LQProblem, NotPositiveDefinite
+from mjslq.lq.regularize import Damped, Ladder, damped, largest_weight, modification, solve_with
+from mjslq.options import NewtonOptions
+from mjslq.solvers.damping import UNDAMPED, Damping
 from mjslq.solvers.iterate import Direction, Iterate
-from mjslq.solvers.loop import Monitor, Outcome, Stopping, descend
-from mjslq.validation import Array, choose
+from mjslq.solvers.merit import Merit
+from mjslq.solvers.method import Step
+from mjslq.solvers.steps import LineSearch
+from mjslq.validation import Array
 
-COSTATES = ("sweep", "adjoint")
 FLOOR = 1e-3
 """Least curvature that a stage is given, relative to its largest control weight."""
-LARGEST = 1e8
-"""Multiplier, relative to the largest control weight, that leaves next to nothing of a step."""
+LADDER = Ladder(1e-3, 4.0, 1e8)
+"""Multipliers, up to one that leaves next to nothing of a step."""
 LEAST_SHARE = 1e-3
 """Share of the curvature below which none is kept."""
 
 
-def newton(
-    start: Iterate,
-    stopping: Stopping,
-    monitor: Monitor,
-    *,
-    line_search: str = "quadratic-fit",
-    step: str = "auto",
-    acceleration: bool = True,
-    modification: str = "multiplier",
-    costates: str = "sweep",
-) -> Outcome:
-    """Minimize from `start`.
+class Newton:
+    """The method, with its multiplier; see `solvers.method.Method`."""
 
-    Parameters
-    ----------
-    line_search : str
-        "quadratic-fit", "armijo", "goldstein", "wolfe" or "exact".
-    step : str
-        "open-loop", "closed-loop", or "auto": closed loop on the engines that simulate robots, open loop elsewhere.
-    acceleration : bool
-        After a step that the line search had to shorten, also search along the previous change of the controls.
-    modification : str
-        "multiplier", "blend" or "stage": how an indefinite Hessian is made positive definite.
-    costates : str
-        "sweep" or "adjoint", see above.
-    """
-    advance = line_searching(start, line_search, step, acceleration)
-    modify = MODIFICATIONS[choose("modification", modification, MODIFICATIONS)]
-    choose("costates", costates, COSTATES)
+    tests_direction = True
 
-    damper, latest = Damping(start, step, None), None
+    def __init__(self, options: NewtonOptions) -> None:
+        self.options = options
+        self.search, self.damping = LineSearch(options), Damping()
+        self._modify = MODIFICATIONS[options.modification]
+        self._model: tuple[Iterate, LQProblem] | None = None  # of the latest direction
 
-    def direction(here: Iterate) -> Direction:
-        nonlocal latest
-        latest = here.newton if costates == "adjoint" else here.hamiltonian(costates_ahead(here))
-        if damper.mu > 0.0:
-            return damper.direction(latest)
-        lq, multiplier = convex_solution(latest, here.gauss_newton, modify)
-        return Direction(lq.U, lq.k, lq.K, multiplier, limited=multiplier > 0.0)
+    def direction(self, here: Iterate) -> Direction:
+        """Step 2, with the model made convex where it is not."""
+        model = here.newton if self.options.costates == "adjoint" else here.hamiltonian(costates_ahead(here))
+        self._model = here, model
+        if self.damping.mu > 0.0:
+            return self.damping.direction(model, here.box)
+        return Direction.to(model, convex_solution(model, here.gauss_newton, here.box, self._modify))
 
-    guarded = damper.guard(advance, lambda here: here.newton if latest is None else latest)
-    return descend(start, direction, guarded, stopping, monitor)
+    def step(self, here: Iterate, direction: Direction, merit: Merit) -> Step:
+        """Step 3."""
+        step = self.search(here, direction, merit)
+        if step.iterate is not None:
+            self.damping.adapt(step)
+            return step
+        if here.gaps is not None or self._model is None:
+            return step
+        rescued = self.damping.rescue(here, self._model[1], self.options.step, merit)
+        return Step(rescued.iterate, rescued.alpha, step.rollouts + rescued.rollouts)
+
+    def remark(self) -> str:
+        """Nothing."""
+        return ""
 
 
 def costates_ahead(here: Iterate) -> Array:
     """Costates after a Gauss-Newton step under feedback; those of the trajectory where there is no such step."""
     try:
-        lq = solve(here.gauss_newton)
+        return damped(here.gauss_newton, here.box, ladder=UNDAMPED).found.lq.costates
     except NotPositiveDefinite:
         return here.costates
-    return lq.p + np.einsum("nij,nj->ni", lq.P, lq.X)
 
 
-Modify = Callable[[LQProblem, LQProblem], tuple[LQSolution, float]]
+Modify = Callable[[LQProblem, LQProblem, Box], Damped]
 
 
-def convex_solution(model: LQProblem, convex: LQProblem, modify: Modify) -> tuple[LQSolution, float]:
-    """Minimizer of the model, modified if it must be, and the multiplier spent on it."""
+def convex_solution(model: LQProblem, convex: LQProblem, box: Box, modify: Modify) -> Damped:
+    """Minimizer of the model, modified if it must be."""
     try:
-        return solve(model), 0.0
+        return solve_with(model, box, 0.0)
     except NotPositiveDefinite:
-        return modify(model, convex)
+        return modify(model, convex, box)
 
 
-def by_multiplier(model: LQProblem, convex: LQProblem) -> tuple[LQSolution, float]:
+def by_multiplier(model: LQProblem, convex: LQProblem, box: Box) -> Damped:
     """Raise the curvature at all stages alike; where that would leave no step, blend."""
-    scale = _scale(convex)
-    multiplier = 1e-3 * scale
-    while multiplier <= LARGEST * scale:
-        try:
-            return solve(model, multiplier), multiplier
-        except NotPositiveDefinite:
-            multiplier *= 4.0
-    return by_blend(model, convex)
+    try:
+        return damped(model, box, LADDER.first, ladder=LADDER)
+    except NotPositiveDefinite:
+        return by_blend(model, convex, box)
 
 
-def by_blend(model: LQProblem, convex: LQProblem) -> tuple[LQSolution, float]:
+def by_blend(model: LQProblem, convex: LQProblem, box: Box) -> Damped:
     """Keep the largest share of the curvature that leaves the problem convex."""
     share = 0.5
     while share > LEAST_SHARE:
         parts = {name: _between(getattr(convex, name), getattr(model, name), share) for name in "QRM"}
         try:
-            return solve(convex._replace(**parts)), 0.0
+            return solve_with(convex._replace(**parts), box, 0.0)
         except NotPositiveDefinite:
             share *= 0.5
-    return convexified(convex)
+    return damped(convex, box, ladder=UNDAMPED)
 
 
-def by_stage(model: LQProblem, convex: LQProblem) -> tuple[LQSolution, float]:
+def by_stage(model: LQProblem, convex: LQProblem, box: Box) -> Damped:
     """Raise the curvature at the stages where it is missing; the multiplier told is the largest raise."""
     weights = np.abs(convex.R).max(axis=(1, 2), initial=0.0)
-    floor = FLOOR * np.maximum(weights, 1e-3 * _scale(convex))
+    floor = FLOOR * np.maximum(weights, 1e-3 * largest_weight(convex))
     while True:
-        E = stage_modification(model, floor)
+        E = modification(model, floor)
         try:
-            return solve(model._replace(R=model.R + E)), float(np.abs(E).max())
+            return Damped(solve_in_box(model._replace(R=model.R + E), box), 0.0, float(np.abs(E).max()))
         except NotPositiveDefinite:  # rounding took what had been added
             floor = 100.0 * floor
             if not floor.max() < 1e12 * max(1.0, weights.max()):
                 raise
-
-
-def _scale(convex: LQProblem) -> float:
-    return max(1e-9, float(np.abs(convex.R).max(initial=0.0)))
 
 
 def _between(first: Array, second: Array, share: float) -> Array:

@@ -1,0 +1,195 @@
+"""The LQ tracking problem with limits on the controls, by projected Newton steps made of Riccati sweeps.
+
+Problem
+-------
+    minimize the cost of `lq.problem` over U subject to lower_n <= u_n <= upper_n
+
+Notation
+--------
+    m(U), g(U)     cost of the controls with the states eliminated, and its gradient (an adjoint sweep)
+    W(U)           working set: controls at a limit with the gradient pushing outward, u = lower and g > 0, or
+                   u = upper and g < 0
+    [.]            clipping to the limits
+
+Iteration, from U = [0]
+-----------------------
+    1  W <- W(U)
+    2  d <- minimizer of m(U + d) over the controls outside of W, those of W held: one sweep
+    3  U + d within the limits: it is the minimizer if the gradient there still pushes all of W outward
+       else U <- [U + t d],  t = 1, 1/2, 1/4, ... until m falls
+
+This is Newton's method on the free controls. Where the right working set is found, which takes two to five sweeps
+when many controls are limited, step 2 gives the minimizer itself. From an outer iteration to the next the working set
+is warm: the controls of an iterate lie exactly on their limits, and step 1 finds them there. Where no limit is in
+reach the first sweep is the plain one, bit for bit.
+
+The feedback gains are those of the last sweep: zero for controls that are held, the optimal ones among the others.
+
+Source: Bertsekas 1982, "Projected Newton methods for optimization problems with simple constraints"; Tassa, Mansard
+and Todorov 2014, "Control-limited differential dynamic programming", for the gains of the free controls.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from mjslq.lq.adjoint import adjoint
+from mjslq.lq.dense import add_product
+from mjslq.lq.problem import LQProblem, LQSolution, Mask
+from mjslq.lq.riccati import solve
+from mjslq.validation import Array
+
+ROUNDS = 50
+"""Sweeps after which the best controls found have to do."""
+C1 = 1e-4
+"""Share of the decrease promised by the slope that a step must bring."""
+SMALLEST = 1e-12
+"""Step below which there is none."""
+ROUNDING = 1e-12
+"""Relative size of what is taken for rounding: in costs, in gradients, and of controls beyond a limit."""
+
+
+class Box(NamedTuple):
+    """Limits of the controls, -inf and inf where there are none."""
+
+    lower: Array
+    """Shape (N, nu)."""
+    upper: Array
+    """Shape (N, nu)."""
+
+    @property
+    def bounded(self) -> bool:
+        """Whether there is any limit."""
+        return bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
+
+    def clip(self, U: Array) -> Array:
+        """`U` (N, nu) within the limits, exactly on them where it is beyond."""
+        return np.minimum(np.maximum(U, self.lower), self.upper)
+
+    def contains(self, U: Array) -> bool:
+        """Whether all of `U` (N, nu) is within the limits, but for rounding."""
+        slack = ROUNDING * np.abs(U)
+        return bool((U >= self.lower - slack).all() and (U <= self.upper + slack).all())
+
+    def about(self, U: Array) -> Box:
+        """Limits of the change from `U`."""
+        return Box(self.lower - U, self.upper - U)
+
+    def touches(self, U: Array) -> bool:
+        """Whether a control of `U` (N, nu) is at a limit."""
+        return bool((U <= self.lower).any() or (U >= self.upper).any())
+
+    def pushed(self, U: Array, gradient: Array) -> Mask:
+        """Controls at a limit which the descent direction -gradient would leave. Shape (N, nu)."""
+        return ((U <= self.lower) & (gradient > 0.0)) | ((U >= self.upper) & (gradient < 0.0))
+
+    def projected(self, U: Array, gradient: Array) -> Array:
+        """The gradient without its entries that push against a limit: zero at a minimum. Shape (N, nu)."""
+        return np.where(self.pushed(U, gradient), 0.0, gradient)
+
+
+class BoxSolution(NamedTuple):
+    """Minimizer of an LQ tracking problem within limits."""
+
+    lq: LQSolution
+    """As without limits; K and k are those of u_n = k_n - K_n x_n, rows of K zero for held controls."""
+    held: Mask
+    """Controls that a limit holds. Shape (N, nu)."""
+    sweeps: int
+    """Riccati sweeps spent."""
+    converged: bool
+    """Whether the minimizer was reached within `ROUNDS` sweeps."""
+
+
+def solve_in_box(
+    problem: LQProblem, box: Box, control_shift: float | Array = 0.0, state_shift: float = 0.0
+) -> BoxSolution:
+    """Minimize within limits, between which zero must lie; the shifts are those of `riccati.solve`.
+
+    Raises NotPositiveDefinite when the problem without the held controls has no minimizer.
+    """
+    U = np.zeros_like(problem.r)
+    if not box.bounded:
+        return BoxSolution(solve(problem, control_shift, state_shift), U.astype(np.bool_), 1, True)
+    X = problem.states(U)
+    gradient, held = U, U.astype(np.bool_)
+    if box.touches(U):
+        gradient = _gradient(problem, X, U)
+        held = box.pushed(U, gradient)
+    lq = solve(problem, control_shift, state_shift, held)
+    inside = box.contains(lq.U)
+    if inside and not held.any():
+        return BoxSolution(lq, held, 1, True)
+    shifted = _shifted(problem, control_shift, state_shift)
+    gradient = _gradient(shifted, X, U)
+    for sweeps in range(1, ROUNDS + 1):
+        if inside:
+            X, U = lq.X, box.clip(lq.U)
+        else:
+            X, U = _clipped_step(shifted, box, X, U, lq, gradient)
+        gradient = _gradient(shifted, X, U)
+        pushed = box.pushed(U, gradient)
+        released = held & ~pushed & (np.abs(gradient) > ROUNDING * np.abs(gradient).max(initial=0.0))
+        if inside and not released.any():
+            return BoxSolution(lq._replace(U=U), held, sweeps, True)
+        held = pushed
+        lq = _moved(solve(shifted.about(X, U), held=held), X, U)
+        inside = box.contains(lq.U)
+    return BoxSolution(lq._replace(X=X, U=U, k=U + np.einsum("nij,nj->ni", lq.K, X[:-1])), held, ROUNDS, False)
+
+
+def _shifted(problem: LQProblem, control_shift: float | Array, state_shift: float) -> LQProblem:
+    """The problem with the shifts in its weights."""
+    if not (np.any(control_shift) or state_shift):
+        return problem
+    (N, nu), nx = problem.r.shape, problem.q.shape[1]
+    by_step = np.broadcast_to(control_shift, (N,))[:, None, None]
+    return problem._replace(R=problem.R + by_step * np.eye(nu), Q=problem.Q + state_shift * np.eye(nx))
+
+
+def _gradient(problem: LQProblem, X: Array, U: Array) -> Array:
+    """g(U), the states following from the controls. Shape (N, nu)."""
+    here = problem.about(X, U)
+    return adjoint(here.A, here.B, here.q, here.r)[1]
+
+
+def _moved(lq: LQSolution, X: Array, U: Array) -> LQSolution:
+    """A solution in the differences from (X, U) as one from zero."""
+    whole_X, whole_U = lq.X + X, lq.U + U
+    k = whole_U + np.einsum("nij,nj->ni", lq.K, whole_X[:-1])
+    return LQSolution(lq.K, k, whole_X, whole_U, lq.P, lq.p - np.einsum("nij,nj->ni", lq.P, X))
+
+
+def _clipped_step(
+    problem: LQProblem, box: Box, X: Array, U: Array, lq: LQSolution, gradient: Array
+) -> tuple[Array, Array]:
+    """States and controls after the longest of the steps 1, 1/2, 1/4, ..., clipped to the limits, that descends."""
+    k = lq.k - np.einsum("nij,nj->ni", lq.K, X[:-1]) - U
+    start, t = problem.value(X, U), 1.0
+    Y, V = np.empty_like(X), np.empty_like(U)
+    while t > SMALLEST:
+        for K, step in ((lq.K, t * k), (np.zeros_like(lq.K), t * (lq.U - U))):
+            _follow(problem.A, problem.B, problem.c, X, U, K, step, box.lower, box.upper, Y, V)
+            if problem.value(Y, V) <= start + C1 * float(np.vdot(gradient, V - U)):
+                return Y, V
+        t *= 0.5
+    return X, U
+
+
+@njit(cache=True, nogil=True)
+def _follow(A, B, c, X, U, K, k, lower, upper, Y, V):
+    """Run the LQ problem's dynamics under v = [U + k - K (y - X)]."""
+    N, nx, nu = B.shape
+    Y[0] = X[0]
+    for n in range(N):
+        for i in range(nu):
+            v = U[n, i] + k[n, i]
+            for j in range(nx):
+                v -= K[n, i, j] * (Y[n, j] - X[n, j])
+            V[n, i] = min(max(v, lower[n, i]), upper[n, i])
+        Y[n + 1] = c[n]
+        add_product(A[n], Y[n], Y[n + 1])
+        add_product(B[n], V[n], Y[n + 1])

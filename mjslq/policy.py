@@ -1,0 +1,108 @@
+"""`Policy`: time-varying feedback about a trajectory, within limits; it needs neither a solver nor an engine.
+
+    u(x, t) = [ U_n - K_n difference(x_ref(t), x) ]       t_n <= t < t_{n+1};   [.] clips to the limits of step n
+
+x_ref is X_n at the knots and lies on the way from X_n to X_{n+1} between them. Before the first knot the policy is that
+of the first, after the last step that of the last, about the final state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mjslq.manifold import StateSpace
+from mjslq.trajectory import Trajectory
+from mjslq.validation import Array, as_array, count, frozen
+
+NEAR = 1e-9
+"""Share of a step within which a time counts as the knot's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """A control law over a horizon; call it with a state and a time.
+
+    Raises ValueError when shapes do not belong together.
+    """
+
+    X: Array
+    """Reference states. Shape (N + 1, nx)."""
+    U: Array
+    """Controls along the reference. Shape (N, nu)."""
+    K: Array | None = None
+    """Feedback gains; None for none. Shape (N, nu, ndx)."""
+    dt: ArrayLike = 1.0
+    """Step lengths: a number, or one a step. Shape (N,). [s]"""
+    lower: Array | None = None
+    """Limits of the controls; None for none. Shape (N, nu) | (nu,)."""
+    upper: Array | None = None
+    """See `lower`."""
+    space: StateSpace | None = None
+    """Where the state's quaternions are; a plain vector unless given."""
+
+    def __post_init__(self) -> None:
+        X, U = as_array("X", self.X, ("N + 1", "nx")), as_array("U", self.U)
+        N = len(X) - 1
+        U = as_array("U", U, (N, "nu"))
+        space = StateSpace.plain(X.shape[1]) if self.space is None else self.space
+        dt = np.array(np.broadcast_to(as_array("dt", self.dt), (N,)))
+        filled = {"X": X, "U": U, "dt": dt}
+        if self.K is not None:
+            filled["K"] = as_array("K", self.K, (N, U.shape[1], space.ndx))
+        for name, end in (("lower", -np.inf), ("upper", np.inf)):
+            limit = getattr(self, name)
+            limit = end if limit is None else as_array(name, limit, finite=False)
+            filled[name] = np.array(np.broadcast_to(limit, U.shape))
+        for name, array in filled.items():
+            object.__setattr__(self, name, frozen(array))
+        object.__setattr__(self, "space", space)
+
+    @property
+    def horizon(self) -> int:
+        """Number of steps N."""
+        return len(self.U)
+
+    @property
+    def times(self) -> Array:
+        """Time of each knot. Shape (N + 1,). [s]"""
+        return np.concatenate([[0.0], np.cumsum(self.dt)])
+
+    def __call__(self, x: ArrayLike, t: float) -> Array:
+        """Control in state `x` (nx,) at time `t` [s] since the start. Shape (nu,)."""
+        assert self.space is not None and self.lower is not None and self.upper is not None  # filled in when made
+        n, share = self._place(float(t))
+        u: Array = self.U[n]
+        if self.K is not None:
+            x_ref = self.X[n]
+            if share > 0.0:
+                x_ref = self.space.integrate(x_ref, share * self.space.difference(x_ref, self.X[n + 1]))
+            u = u - self.K[n] @ self.space.difference(x_ref, as_array("x", x, (self.space.nx,)))
+        return np.minimum(np.maximum(u, self.lower[n]), self.upper[n])
+
+    def shifted(self, steps: int) -> Policy:
+        """The policy from step `steps` on; the last step is repeated, so that the horizon stays."""
+        n = min(count("steps", steps, at_least=0), self.horizon)
+        at = np.minimum(np.arange(self.horizon) + n, self.horizon - 1)
+        states = np.minimum(np.arange(self.horizon + 1) + n, self.horizon)
+        assert self.lower is not None and self.upper is not None
+        return Policy(
+            self.X[states], self.U[at], None if self.K is None else self.K[at], np.asarray(self.dt)[at],
+            self.lower[at], self.upper[at], self.space,
+        )  # fmt: skip
+
+    @classmethod
+    def along(cls, trajectory: Trajectory, space: StateSpace | None = None) -> Policy:
+        """The controls of a trajectory, without feedback."""
+        return cls(trajectory.X, trajectory.U, None, trajectory.dt, space=space)
+
+    def _place(self, t: float) -> tuple[int, float]:
+        """The step at time t, and how far into it t is, from 0 to 1."""
+        times, last = self.times, self.horizon - 1
+        n = int(np.clip(np.searchsorted(times, t, side="right") - 1, 0, last))
+        share = float(np.clip((t - times[n]) / (times[n + 1] - times[n]), 0.0, 1.0))
+        if share > 1.0 - NEAR and n < last:
+            return n + 1, 0.0
+        return n, 0.0 if share < NEAR else share
