@@ -55,6 +55,18 @@ class Trajectory:
         for name, array in (("X", X), ("U", U), ("Y", Y), ("dt", np.broadcast_to(dt, (len(U),)))):
             object.__setattr__(self, name, frozen(array))
 
+    @classmethod
+    def unchecked(cls, X: Array, U: Array, Y: Array, dt: float | Array, diverged_at: int | None = None) -> Trajectory:
+        """Make a trajectory of arrays that an engine has just filled: nothing is checked, and nothing copied.
+
+        Shapes and types are those of the fields; `dt` may be a number. Whoever holds one of the arrays must not write
+        into it afterwards.
+        """
+        made = object.__new__(cls)
+        fields = {"X": frozen(X), "U": frozen(U), "Y": frozen(Y), "dt": np.broadcast_to(dt, (len(U),))}
+        made.__dict__.update(fields, diverged_at=diverged_at)
+        return made
+
     @property
     def horizon(self) -> int:
         """Number of steps N."""

@@ -168,7 +168,7 @@ def test_sides_and_size_of_the_differences_can_be_chosen():
 
 def test_control_limits_are_mujocos_own():
     dynamics = MujocoDynamics.from_xml(ARM)
-    np.testing.assert_array_equal(dynamics.control_range, [[-5, 5], [-np.inf, np.inf]])
+    np.testing.assert_array_equal(dynamics.control_limits, [[-5, 5], [-np.inf, np.inf]])
     x0 = dynamics.initial_state
     over, at = np.array([[9.0, 1.0]]), np.array([[5.0, 1.0]])
     np.testing.assert_array_equal(dynamics.rollout(x0, over).X, dynamics.rollout(x0, at).X)

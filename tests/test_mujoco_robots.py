@@ -49,7 +49,7 @@ def test_a_urdf_gets_motors_limited_by_effort_and_loses_unreadable_meshes(tmp_pa
     (tmp_path / "one.urdf").write_text(URDF)
     dynamics = MujocoDynamics.from_path(tmp_path / "one.urdf")
     assert dynamics.control_names == ("hinge",) and dynamics.name == "one"
-    np.testing.assert_array_equal(dynamics.control_range, [[-7, 7]])
+    np.testing.assert_array_equal(dynamics.control_limits, [[-7, 7]])
     model = dynamics.model
     assert model.nmesh == 0 and not model.jnt_actfrclimited.any()
     assert model.body("arm").mass == 2.0 and model.body("tool").mass < 1e-8

@@ -166,7 +166,7 @@ def test_orientation_cost(urdf):
 def test_continuous_joints_are_angles(urdf):
     dynamics = mjslq.PinocchioDynamics.from_path(urdf, 0.01)
     assert (dynamics.nx, dynamics.nu) == (4, 2) and dynamics.damping.tolist() == [0.3, 0.0]
-    np.testing.assert_array_equal(dynamics.control_range, [[-np.inf, np.inf], [-7.0, 7.0]])
+    np.testing.assert_array_equal(dynamics.control_limits, [[-np.inf, np.inf], [-7.0, 7.0]])
     assert dynamics.difference_jacobian(dynamics.initial_state, dynamics.initial_state) is None
 
 

@@ -60,6 +60,29 @@ class Curvature(NamedTuple):
     """Shape (N, nu, nu)."""
 
 
+class Feedback(NamedTuple):
+    """The law u_n = clip(U_n - K_n difference(X_n, x_n), lower_n, upper_n), for given U_n."""
+
+    X: Array
+    """Reference states. Shape (N + 1, nx)."""
+    K: Array
+    """Gains. Shape (N, nu, ndx)."""
+    lower: Array
+    """Smallest controls; -inf where there is no limit. Shape (N, nu)."""
+    upper: Array
+    """Largest controls; inf where there is no limit. Shape (N, nu)."""
+
+    @classmethod
+    def unlimited(cls, X: Array, K: Array) -> Feedback:
+        """The law without limits."""
+        lower = np.full(K.shape[:2], -np.inf)
+        return cls(X, K, lower, -lower)
+
+    def contiguous(self) -> Feedback:
+        """The same with arrays as compiled code wants them; those that are so already are not copied."""
+        return Feedback(*(np.ascontiguousarray(array, dtype=np.float64) for array in self))
+
+
 class Output(NamedTuple):
     """Where a named output stands in y."""
 
@@ -116,6 +139,9 @@ class Dynamics(ABC):
     """Step length, or one per step. Shape (N,). [s]"""
     state_names: tuple[str, ...]
     """A name for each entry of x, for plots and messages."""
+    control_limits: Array
+    """Lower and upper limit of each control: what the model clamps it to, or the actuator is rated for. Shape (nu, 2).
+    -inf and inf where there is none."""
     wants_feedback: bool = False
     """Whether steps of an optimizer had better run under feedback: true of engines that simulate robots, whose
     unstable motions drift away from an open-loop change of the controls."""
@@ -132,9 +158,17 @@ class Dynamics(ABC):
             found[owner] = Output(slice(start, i + 1))
         return found
 
-    @abstractmethod
     def rollout(self, x0: ArrayLike, U: ArrayLike) -> Trajectory:
-        """Simulate from `x0` (nx,) under the controls `U` (N, nu)."""
+        """Simulate from `x0` (nx,) under the controls `U` (N, nu); raises ValueError when they are not that."""
+        return self.rollouts(self.checked_start(x0)[None], self.checked_controls(U)[None])[0]
+
+    @abstractmethod
+    def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None = None) -> list[Trajectory]:
+        """Simulate m times, from `x0s` (m, nx) with controls `U` (m, N, nu), side by side where the engine has threads.
+
+        Open loop, or each under the same law with its own U_n. A clipped control is the limit itself, to the last bit.
+        For callers inside the package: arguments are not checked, nor normalized, nor copied when m = 1.
+        """
 
     @abstractmethod
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
@@ -143,7 +177,6 @@ class Dynamics(ABC):
         The plain, slow way to the same numbers as `rollout`; tests and derivative checks go it.
         """
 
-    @abstractmethod
     def rollout_feedback(
         self, reference: Trajectory, K: Array, k: Array, alpha: float = 1.0, x0: ArrayLike | None = None
     ) -> Trajectory:
@@ -151,17 +184,25 @@ class Dynamics(ABC):
 
         K has shape (N, nu, ndx), k (N, nu). Starts at the reference's first state unless `x0` is given.
         """
+        return self.rollout_candidates(reference, K, k, [alpha], x0)[0]
 
     def rollout_candidates(
         self, reference: Trajectory, K: Array, k: Array, alphas: Sequence[float], x0: ArrayLike | None = None
     ) -> list[Trajectory]:
         """`rollout_feedback` for each step size of `alphas`; engines with threads run them side by side."""
-        return [self.rollout_feedback(reference, K, k, alpha, x0) for alpha in alphas]
+        K, k, x0 = self.checked_feedback(reference, K, k, x0)
+        U = np.stack([reference.U + alpha * k for alpha in alphas])
+        return self.rollouts(np.tile(x0, (len(U), 1)), U, Feedback.unlimited(reference.X, K))
+
+    @property
+    def threads(self) -> int:
+        """How many of the `rollouts` run side by side."""
+        return 1
 
     @property
     def candidates_at_once(self) -> int:
-        """How many candidates `rollout_candidates` runs side by side: a line search asks for as many ahead."""
-        return 1
+        """The former name of `threads`."""
+        return self.threads
 
     @abstractmethod
     def linearize(self, trajectory: Trajectory) -> Linearization:

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 
 from mjslq.complex_step import refused_complex
 from mjslq.dynamics import function_kernels as kernels
-from mjslq.dynamics.dynamics import Curvature, Dynamics, Linearization, curvature_of
+from mjslq.dynamics.dynamics import Curvature, Dynamics, Feedback, Linearization, curvature_of
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array, choose, count
@@ -64,6 +64,9 @@ class FunctionDynamics(Dynamics):
         costate' x_{n+1}, the *discrete step*; by differences of first derivatives unless given.
     outputs : callable, optional
         y = outputs(x, u, t), shape (ny,), recorded along rollouts; differentiated as `jacobian` says.
+    control_limits : tuple or array, optional
+        (lower, upper), each a number or an array (nu,), or both as an array (nu, 2); -inf and inf where there is none.
+        What an optimizer keeps to; f itself is called with whatever controls a rollout is given.
     parameters : array
         p, for compiled functions whose constants change between problems.
     nv : int, optional
@@ -90,6 +93,7 @@ class FunctionDynamics(Dynamics):
         jacobian: Literal["complex-step", "finite-difference"] | Callable[..., Any] = "complex-step",
         hessian: Callable[..., Any] | None = None,
         outputs: Callable[..., Any] | None = None,
+        control_limits: tuple[ArrayLike, ArrayLike] | ArrayLike | None = None,
         parameters: ArrayLike = (),
         nv: int | None = None,
         state_names: Sequence[str] | None = None,
@@ -104,6 +108,7 @@ class FunctionDynamics(Dynamics):
             raise ValueError(f"dt must be a positive number, or one per step, got shape {steps.shape}: {dt!r}")
         self.dt = np.array(steps) if steps.ndim else float(steps)
         self.integrator = choose("integrator", integrator, _INTEGRATORS)
+        self.control_limits = _limits(control_limits, self.nu)
         self.parameters = np.array(as_array("parameters", parameters, ("size",)))
         self._nv = self.nx // 2 if nv is None else count("nv", nv)
         if self._nv > self.nx:
@@ -136,34 +141,27 @@ class FunctionDynamics(Dynamics):
         forward = kernels.advance(function, self._code, self._nv, x, u, times[n], steps[n], self.parameters)
         return as_array("next state", forward, finite=False), self._read(x, u, float(times[n]))
 
-    def rollout(self, x0: ArrayLike, U: ArrayLike) -> Trajectory:
-        """Simulate from `x0` (nx,) under `U` (N, nu)."""
-        controls = self.checked_controls(U)
-        X = np.empty((len(controls) + 1, self.nx))
-        X[0] = self.checked_start(x0)
-        roll = self._kernel(kernels.rollout)
-        with np.errstate(all="ignore"):
-            bad = roll(*self._arguments(len(controls)), controls, X)
-        return self._trajectory(X, controls, bad)
-
-    def rollout_feedback(
-        self, reference: Trajectory, K: Array, k: Array, alpha: float = 1.0, x0: ArrayLike | None = None
-    ) -> Trajectory:
-        """Simulate under u_ref + alpha k - K (x - x_ref); see `Dynamics.rollout_feedback`."""
-        K, k, x0 = self.checked_feedback(reference, K, k, x0)
-        X, U = np.empty_like(reference.X), np.empty_like(reference.U)
-        X[0] = x0
-        roll = self._kernel(kernels.rollout_feedback)
-        fixed = (np.array(reference.X), np.array(reference.U))  # writable, as the compiled signature wants
-        with np.errstate(all="ignore"):
-            bad = roll(*self._arguments(len(U)), *fixed, K, k, alpha, X, U)
-        return self._trajectory(X, U, bad)
+    def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None = None) -> list[Trajectory]:
+        """Simulate several times, one after the other; see `Dynamics.rollouts`."""
+        (m, N, nu), roll, found = U.shape, self._kernel(kernels.rollout), []
+        arguments, nothing = self._arguments(N), np.empty((0, nu))
+        none = Feedback(np.empty((0, self.nx)), np.empty((0, nu, self.nx)), nothing, nothing)
+        law = none if feedback is None else feedback.contiguous()
+        for x0, given in zip(x0s, U, strict=True):
+            X = np.empty((N + 1, self.nx))
+            X[0] = x0
+            controls = np.ascontiguousarray(given) if m == 1 else given.copy()
+            applied = nothing if feedback is None else np.empty((N, nu))
+            with np.errstate(all="ignore"):
+                bad = roll(*arguments, controls, *law, applied, X)
+            found.append(self._trajectory(X, controls if feedback is None else applied, bad))
+        return found
 
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step of `trajectory`, and of the outputs."""
         self.check_trajectory(trajectory)
         N = trajectory.horizon
-        X, U = np.array(trajectory.X), np.array(trajectory.U)
+        X, U = trajectory.X, trajectory.U
         A, B = np.empty((N, self.nx, self.nx)), np.empty((N, self.nx, self.nu))
         if self._given_jacobian is not None:
             for n, t in enumerate(self._grid(N)[0]):
@@ -177,7 +175,7 @@ class FunctionDynamics(Dynamics):
 
     def advance(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
         """One step from each knot; see `Dynamics.advance`."""
-        states, controls = np.array(X, dtype=np.float64), self.checked_controls(U)
+        states, controls = np.ascontiguousarray(X, dtype=np.float64), self.checked_controls(U)
         F = np.empty((len(controls), self.nx))
         with np.errstate(all="ignore"):
             self._kernel(kernels.advance_all)(*self._arguments(len(controls)), states, controls, F)
@@ -195,7 +193,7 @@ class FunctionDynamics(Dynamics):
         N, size = trajectory.horizon, self.nx + self.nu
         if self._given_hessian is None and self._given_jacobian is not None:
             return super().hessian(trajectory, costates, weights, linearization, ends)
-        X, U, H = np.array(trajectory.X), np.array(trajectory.U), np.zeros((N + 1, size, size))
+        X, U, H = trajectory.X, trajectory.U, np.zeros((N + 1, size, size))
         if self._given_hessian is not None:
             for n, t in enumerate(self._grid(N)[0]):
                 H[n] = self._checked_hessian(self._given_hessian(X[n], U[n], t, costates[n + 1]))
@@ -203,7 +201,7 @@ class FunctionDynamics(Dynamics):
             by_complex = self.jacobian == "complex-step"
             differentiate = self._kernel(kernels.hessian_complex if by_complex else kernels.hessian_differences)
             with np.errstate(all="ignore"), refused_complex("f", 'jacobian="finite-difference"'):
-                differentiate(*self._arguments(N), X, U, np.array(costates[1:]), H)
+                differentiate(*self._arguments(N), X, U, np.ascontiguousarray(costates[1:]), H)
         if weights is not None and self.ny:
             H += self._output_hessians(X, U, weights)
         return curvature_of(H, self.nx)
@@ -247,7 +245,7 @@ class FunctionDynamics(Dynamics):
             held = np.vstack([U, np.zeros(self.nu)])
             for n in range(good):
                 Y[n] = self._read(X[n], held[n], times[n])
-        return Trajectory(X, U, Y, self.dt, None if bad < 0 else bad)
+        return Trajectory.unchecked(X, U, Y, self.dt, None if bad < 0 else bad)
 
     def _read(self, x: Array, u: Array, t: float) -> Array:
         if self._outputs is None:
@@ -349,6 +347,31 @@ def _with_all_arguments(f: Callable[..., Any], compiled: bool) -> Callable[..., 
             return numba.njit(lambda x, u, t, p: f(x, u, t))
         return numba.njit(lambda x, u, t, p: f(x, u))
     return lambda x, u, t, p: np.asarray(f(*(x, u, t, p)[:given]))
+
+
+def _limits(given: Any, nu: int) -> Array:
+    """Return limits given as (lower, upper) or as an array (nu, 2) as the latter, or raise ValueError."""
+    if given is None:
+        return np.tile([-np.inf, np.inf], (nu, 1))
+    if isinstance(given, tuple):
+        if len(given) != 2:
+            raise ValueError(f"control_limits must be (lower, upper) or an array ({nu}, 2), got {len(given)} entries")
+        sides = [as_array(f"control_limits[{i}]", side, finite=False) for i, side in enumerate(given)]
+        for i, side in enumerate(sides):
+            if side.shape not in ((), (nu,)):
+                raise ValueError(f"control_limits[{i}] must be a number or an array ({nu},), got shape {side.shape}")
+        limits = np.stack([np.broadcast_to(side, (nu,)) for side in sides], axis=-1)
+    else:
+        limits = np.array(as_array("control_limits", given, finite=False))
+        if limits.shape != (nu, 2):
+            raise ValueError(f"control_limits must be (lower, upper) or an array ({nu}, 2), got shape {limits.shape}")
+    wrong = ~(limits[:, 0] <= limits[:, 1])  # NaN too
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        raise ValueError(
+            f"control_limits must have lower <= upper, but control {i} has {limits[i, 0]} and {limits[i, 1]}"
+        )
+    return limits
 
 
 def _with_time(outputs: Callable[..., Any]) -> Callable[..., Any]:

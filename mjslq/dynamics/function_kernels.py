@@ -59,29 +59,28 @@ def is_bad(x):
 
 
 @register_jitable
-def rollout(f, integrator, nv, times, steps, p, U, X):
-    """Fill X from X[0]; return the first bad knot, from which on X is NaN, or -1."""
-    for n in range(U.shape[0]):
-        X[n + 1] = advance(f, integrator, nv, X[n], U[n], times[n], steps[n], p)
-        if is_bad(X[n + 1]):
-            X[n + 1 :] = np.nan
-            return n + 1
-    return -1
+def rollout(f, integrator, nv, times, steps, p, U, X_ref, K, lower, upper, applied, X):
+    """Fill X from X[0] under U, or under the law u = clip(U - K (x - X_ref), lower, upper), which fills `applied`.
 
-
-@register_jitable
-def rollout_feedback(f, integrator, nv, times, steps, p, reference_X, reference_U, K, k, alpha, X, U):
-    """Fill X from X[0] and U under u = u_ref + alpha k - K (x - x_ref); return as `rollout` does."""
+    Without feedback K and `applied` have no rows. Returns the first bad knot, from which on X is NaN, or -1.
+    """
+    feedback, u = K.shape[0] > 0, np.empty(U.shape[1])
     for n in range(U.shape[0]):
         for i in range(U.shape[1]):
-            u = reference_U[n, i] + alpha * k[n, i]
-            for j in range(X.shape[1]):
-                u -= K[n, i, j] * (X[n, j] - reference_X[n, j])
-            U[n, i] = u
-        X[n + 1] = advance(f, integrator, nv, X[n], U[n], times[n], steps[n], p)
-        if is_bad(X[n + 1]) or is_bad(U[n]):
+            u[i] = U[n, i]
+            if feedback:
+                for j in range(X.shape[1]):
+                    u[i] -= K[n, i, j] * (X[n, j] - X_ref[n, j])
+                if u[i] < lower[n, i]:  # and not min and max, which may lose a NaN
+                    u[i] = lower[n, i]
+                elif u[i] > upper[n, i]:
+                    u[i] = upper[n, i]
+                applied[n, i] = u[i]
+        X[n + 1] = advance(f, integrator, nv, X[n], u, times[n], steps[n], p)
+        if is_bad(X[n + 1]) or is_bad(u):
             X[n + 1 :] = np.nan
-            U[n:] = reference_U[n:]
+            if feedback:
+                applied[n:] = U[n:]
             return n + 1
     return -1
 
@@ -176,12 +175,14 @@ def hessian_differences(f, integrator, nv, times, steps, p, X, U, costates, H):
 def advance_all(f, integrator, nv, times, steps, p, X, U, F):
     """Fill F with one step from each knot, NaN where it blows up."""
     for n in range(U.shape[0]):
-        F[n] = advance(f, integrator, nv, X[n], U[n], times[n], steps[n], p)
+        F[n] = advance(f, integrator, nv, X[n].copy(), U[n].copy(), times[n], steps[n], p)
         if is_bad(F[n]):
             F[n] = np.nan
 
 
 _vector, _matrix, _cube = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
+_given = types.Array(types.float64, 2, "C", readonly=True)
+_given_cube = types.Array(types.float64, 3, "C", readonly=True)
 REAL = types.FunctionType(_vector(_vector, _vector, types.float64, _vector))
 """Type of a compiled f for real arguments."""
 COMPLEX = types.FunctionType(
@@ -190,16 +191,13 @@ COMPLEX = types.FunctionType(
 """Type of a compiled f for complex arguments."""
 _common = (types.int64, types.int64, _vector, _vector, _vector)
 _SIGNATURES = {
-    rollout: types.int64(REAL, *_common, _matrix, _matrix),
-    rollout_feedback: types.int64(
-        REAL, *_common, _matrix, _matrix, _cube, _matrix, types.float64, _matrix, _matrix
-    ),
-    linearize_complex: types.void(COMPLEX, *_common, _matrix, _matrix, _cube, _cube),
-    linearize_differences: types.void(REAL, *_common, _matrix, _matrix, _cube, _cube),
-    hessian_complex: types.void(COMPLEX, *_common, _matrix, _matrix, _matrix, _cube),
-    hessian_differences: types.void(REAL, *_common, _matrix, _matrix, _matrix, _cube),
-    advance_all: types.void(REAL, *_common, _matrix, _matrix, _matrix),
-}  # fmt: skip
+    rollout: types.int64(REAL, *_common, _given, _given, _given_cube, _given, _given, _matrix, _matrix),
+    linearize_complex: types.void(COMPLEX, *_common, _given, _given, _cube, _cube),
+    linearize_differences: types.void(REAL, *_common, _given, _given, _cube, _cube),
+    hessian_complex: types.void(COMPLEX, *_common, _given, _given, _given, _cube),
+    hessian_differences: types.void(REAL, *_common, _given, _given, _given, _cube),
+    advance_all: types.void(REAL, *_common, _given, _given, _matrix),
+}
 
 
 @cache

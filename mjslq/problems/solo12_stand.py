@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjslq.costs import Control, State
+from mjslq.dynamics.dynamics import Feedback
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.problem import Problem
 from mjslq.problems.legged import on_floor, standing
@@ -58,8 +59,8 @@ def _spring_legs(dynamics: MujocoDynamics, start: Array, goal: Array, N: int) ->
     nv, joints = dynamics.ndx // 2, np.arange(dynamics.nu)
     K = np.zeros((N, dynamics.nu, dynamics.ndx))
     K[:, joints, 6 + joints], K[:, joints, nv + 6 + joints] = SPRING, DAMPER
-    hold = Trajectory(np.tile(goal, (N + 1, 1)), np.zeros((N, dynamics.nu)), dt=dynamics.dt)
-    return dynamics.rollout_feedback(hold, K, np.zeros_like(hold.U), x0=start).U
+    law = Feedback.unlimited(np.tile(goal, (N + 1, 1)), K)
+    return dynamics.rollouts(start[None], np.zeros((1, N, dynamics.nu)), law)[0].U
 
 
 def _posture(angle: float) -> dict[str, float]:

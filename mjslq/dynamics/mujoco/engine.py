@@ -18,7 +18,7 @@ from __future__ import annotations
 import copy
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjslq.dynamics.dynamics import Dynamics, Linearization, Output
+from mjslq.dynamics.dynamics import Dynamics, Feedback, Linearization, Output
 from mjslq.manifold import StateSpace
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
@@ -91,6 +91,7 @@ class MujocoDynamics(Dynamics):
         """The model's name, or its file's."""
         self.jacobian = choose_jacobian(self.model, choose("jacobian", jacobian, ("auto", *_JACOBIANS)))
         """How `linearize` works: "inverse" or "transition"."""
+        self.control_limits = names.control_limits(self.model)
         self._threads = usable_cores() if threads is None else count("threads", threads)
         self._eps, self._centered = positive("eps", eps), bool(centered)
         self._space = StateSpace.of_model(model)
@@ -166,12 +167,6 @@ class MujocoDynamics(Dynamics):
         return np.concatenate([self.model.qpos0, np.zeros(self.model.nv + self.model.na)])
 
     @property
-    def control_range(self) -> Array:
-        """Lower and upper limit of each control, -inf and inf where there is none. Shape (nu, 2)."""
-        limited = np.asarray(self.model.actuator_ctrllimited, dtype=bool)
-        return np.where(limited[:, None], self.model.actuator_ctrlrange, [-np.inf, np.inf])
-
-    @property
     def keyframe_names(self) -> tuple[str, ...]:
         """Names of the model's keyframes."""
         return tuple(self.model.key(i).name or f"key{i}" for i in range(self.model.nkey))
@@ -194,30 +189,15 @@ class MujocoDynamics(Dynamics):
 
         return names.outputs(self.model)
 
-    def rollout(self, x0: ArrayLike, U: ArrayLike) -> Trajectory:
-        """Simulate from `x0` (nx,) under the controls `U` (N, nu)."""
-        x0, U = self.checked_start(x0), self.checked_controls(U)
+    def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None = None) -> list[Trajectory]:
+        """Simulate several times, on several threads; see `Dynamics.rollouts`."""
         with self._lock:
-            return self._horizon.rollout(x0, U)
-
-    def rollout_feedback(
-        self, reference: Trajectory, K: Array, k: Array, alpha: float = 1.0, x0: ArrayLike | None = None
-    ) -> Trajectory:
-        """Simulate under u_n = u_ref,n + alpha k_n - K_n difference(x_ref,n, x_n); see `Dynamics`."""
-        return self.rollout_candidates(reference, K, k, [alpha], x0)[0]
+            return self._horizon.rollouts(x0s, U, feedback)
 
     @property
-    def candidates_at_once(self) -> int:
-        """One a thread."""
+    def threads(self) -> int:
+        """How many threads rollouts and Jacobians are shared out among."""
         return self._threads
-
-    def rollout_candidates(
-        self, reference: Trajectory, K: Array, k: Array, alphas: Sequence[float], x0: ArrayLike | None = None
-    ) -> list[Trajectory]:
-        """Simulate under feedback with several step sizes, on several threads; see `Dynamics`."""
-        K, k, x0 = self.checked_feedback(reference, K, k, x0)
-        with self._lock:
-            return self._horizon.rollout_candidates(reference, K, k, alphas, x0)
 
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
         """One step by plain mj_step from a clean mjData: the next state (nx,) and the outputs (ny,) at (x, u).

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from functools import cached_property
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from mjslq.dynamics.dynamics import Linearization
+from mjslq.dynamics.dynamics import Feedback, Linearization
 from mjslq.dynamics.mujoco import kernels
 from mjslq.dynamics.mujoco.checks import refuse_callbacks
 from mjslq.dynamics.mujoco.library import Workers, copied, quiet
@@ -27,19 +27,31 @@ class Horizon:
         self.workers = Workers(threads)
         self._data = [mujoco.MjData(model) for _ in range(threads)]
 
-    def rollout(self, x0: Array, U: Array) -> Trajectory:
-        """Run open loop; see `MujocoDynamics.rollout`."""
-        return self._simulate(x0, U, [{}])[0]
-
-    def rollout_candidates(
-        self, reference: Trajectory, K: Array, k: Array, alphas: Sequence[float], x0: Array
-    ) -> list[Trajectory]:
-        """Run closed loop with each step size of `alphas`, as many at once as there are threads."""
-        law = {"X_ref": reference.X, "U_ref": reference.U, "K": K, "k": k}
-        found: list[Trajectory] = []
-        for start in range(0, len(alphas), self.workers.count):
-            together = alphas[start : start + self.workers.count]
-            found += self._simulate(x0, reference.U, [law | {"alpha": float(alpha)} for alpha in together])
+    def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None) -> list[Trajectory]:
+        """Simulate several times, shared out among the threads; see `Dynamics.rollouts`."""
+        (m, N, nu), dt, U = U.shape, float(self.model.opt.timestep), np.ascontiguousarray(U)
+        X = [np.empty((N + 1, self.nx)) for _ in range(m)]  # one by one, so that keeping one does not keep all
+        Y = [np.empty((N + 1, self.model.nsensordata)) for _ in range(m)]
+        for x, x0 in zip(X, x0s, strict=True):
+            x[0] = x0
+        if feedback is None:
+            applied, law = list(U) if m == 1 else [u.copy() for u in U], {}
+        else:
+            applied = [np.empty((N, nu)) for _ in range(m)]
+            law = feedback.contiguous()._asdict()
+            law["X_ref"] = law.pop("X")
+        tables = {"X": _addresses(X), "Y": _addresses(Y), "U": _addresses(U), "applied": _addresses(applied)}
+        bad_knots, workers = np.empty(m, np.int64), min(m, self.workers.count)
+        jobs = self._jobs(workers, N, {**tables, **law, "bad_knots": bad_knots, "last": m, "stride": workers})
+        jobs["first"] = np.arange(workers)
+        self._run(kernels.simulate, jobs)
+        found = []
+        for x, u, y, given, knot in zip(X, applied, Y, U, bad_knots.tolist(), strict=True):
+            if knot <= N:
+                x[knot:], y[knot:] = np.nan, np.nan
+                if feedback is not None:
+                    u[knot:] = given[knot:]
+            found.append(Trajectory.unchecked(x, u, y, dt, knot if knot <= N else None))
         return found
 
     def linearize_transition(self, trajectory: Trajectory, eps: float, centered: bool) -> Linearization:
@@ -70,22 +82,6 @@ class Horizon:
             return np.full(self.nx, np.nan), data.sensordata.copy()
         return np.concatenate([data.qpos, data.qvel, data.act]), data.sensordata.copy()
 
-    def _simulate(self, x0: Array, U: Array, laws: list[dict[str, Any]]) -> list[Trajectory]:
-        """Simulate under each control law, one a thread; the laws are at most as many as the workers."""
-        N, number, dt = len(U), len(laws), float(self.model.opt.timestep)
-        X, Y = np.full((number, N + 1, self.nx), np.nan), np.full((number, N + 1, self.model.nsensordata), np.nan)
-        X[:, 0], controls, bad_knots = x0, np.repeat(U[None], number, axis=0), np.zeros(number, np.int64)
-        jobs = self._jobs(number, N, {})
-        for i, law in enumerate(laws):
-            _fill(jobs[i], {"X": X[i], "U": controls[i], "Y": Y[i], "bad_knot": bad_knots[i : i + 1], **law})
-        self._run(kernels.simulate, jobs)
-        found = []
-        for x, u, y, knot in zip(X, controls, Y, bad_knots.tolist(), strict=True):
-            if knot <= N:
-                x[knot:], y[knot:], u[knot:] = np.nan, np.nan, U[knot:]
-            found.append(Trajectory(x, u, y, dt, diverged_at=knot if knot <= N else None))
-        return found
-
     def _run(self, kernel: Any, jobs: np.ndarray[Any, Any]) -> None:
         refuse_callbacks()
         self.workers.run(kernels.address(kernel), jobs)
@@ -113,6 +109,11 @@ class Horizon:
             }  # fmt: skip
             _fill(job, {"data": data._address, **views})
         return jobs
+
+
+def _addresses(arrays: Iterable[Array]) -> np.ndarray[Any, Any]:
+    """Where the numbers of each array are."""
+    return np.array([array.__array_interface__["data"][0] for array in arrays], np.int64)
 
 
 def _fill(job: Any, fields: dict[str, Any]) -> None:

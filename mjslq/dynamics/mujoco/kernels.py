@@ -8,7 +8,7 @@ the addresses of the views that its Python bindings give out, so nothing here de
 Notation
 --------
     x = (qpos, qvel, act), u = ctrl, y = sensordata         N steps, W workers
-    X (N + 1, nx), U (N, nu), Y (N + 1, ny)                 K (N, nu, ndx), k (N, nu): feedback and feedforward
+    X (N + 1, nx), U (N, nu), Y (N + 1, ny)                 K (N, nu, ndx), lower, upper (N, nu): see `Feedback`
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ ABSURD = float(mujoco.mjMAXVAL)
 """Magnitude from which MuJoCo calls a number bad."""
 WARNINGS = int(mujoco.mjtWarning.mjNWARNING)
 
-_SIZES = ("N", "first", "last", "nq", "nv", "na", "nu", "ny", "centered")
+_SIZES = ("N", "first", "last", "stride", "nq", "nv", "na", "nu", "ny", "centered")
 _ARRAYS = (
     "model", "data", "qpos", "qvel", "act", "ctrl", "qacc", "warmstart", "sensors", "warnings",
-    "X", "U", "Y", "X_ref", "U_ref", "K", "k", "A", "B", "C", "D", "bad_knot",
+    "X", "U", "Y", "applied", "X_ref", "K", "lower", "upper", "A", "B", "C", "D", "bad_knots",
 )  # fmt: skip
-JOB = np.dtype([(name, np.int64) for name in _SIZES + _ARRAYS] + [("eps", np.float64), ("alpha", np.float64)])
+JOB = np.dtype([(name, np.int64) for name in _SIZES + _ARRAYS] + [("eps", np.float64)])
 """What a kernel needs to know: sizes, addresses of arrays (0: absent), numbers."""
 
 
@@ -85,6 +85,11 @@ def _vector(address, size):
 @numba.njit(inline="always")
 def _matrix(address, rows, columns):
     return numba.carray(pointer(address), (rows, columns), np.float64)
+
+
+@numba.njit(inline="always")
+def _integers(address, size):
+    return numba.carray(pointer(address), (size,), np.int64)
 
 
 @numba.njit(inline="always")
@@ -129,57 +134,67 @@ def _store(job, x):
 
 
 @numba.njit(inline="always")
-def _feedback(job, n, x, deviation, u):
-    """Write u_ref + alpha k - K difference(x_ref, x) into u."""
+def _feedback(job, n, x, given, deviation, u):
+    """Write clip(given - K difference(x_ref, x), lower, upper) into u."""
     nx, ndx = job.nq + job.nv + job.na, 2 * job.nv + job.na
-    u_ref, k = _vector(job.U_ref + 8 * n * job.nu, job.nu), _vector(job.k + 8 * n * job.nu, job.nu)
+    lower, upper = _vector(job.lower + 8 * n * job.nu, job.nu), _vector(job.upper + 8 * n * job.nu, job.nu)
     x_ref = _vector(job.X_ref + 8 * n * nx, nx)
     K = _matrix(job.K + 8 * n * job.nu * ndx, job.nu, ndx)
     mj_differentiatePos(job.model, deviation.ctypes.data, 1.0, x_ref.ctypes.data, x.ctypes.data)
     for i in range(job.nv, ndx):
         deviation[i] = x[job.nq + i - job.nv] - x_ref[job.nq + i - job.nv]
     for i in range(job.nu):
-        total = u_ref[i] + job.alpha * k[i]
+        total = given[i]
         for j in range(ndx):
             total -= K[i, j] * deviation[j]
+        if total < lower[i]:  # and not min and max, which may lose a NaN
+            total = lower[i]
+        elif total > upper[i]:
+            total = upper[i]
         u[i] = total
 
 
-@c_function(void_t(address_t, address_t, types.int32, types.voidptr))
-def simulate(_model, _data, worker, jobs):
-    """Roll out from X[0], under U, or under the feedback law when K is given (U is then written).
-
-    Writes X, U and Y up to the first bad knot, and its number (N + 1: there is none) into `bad_knot`.
-    """
-    job = numba.carray(jobs, worker + 1, JOB)[worker]
-    nx, N = job.nq + job.nv + job.na, job.N
-    X, U, Y = _matrix(job.X, N + 1, nx), _matrix(job.U, N, job.nu), _matrix(job.Y, N + 1, job.ny)
-    bad_knot = numba.carray(pointer(job.bad_knot), (1,), np.int64)
-    ctrl, sensors = _vector(job.ctrl, job.nu), _vector(job.sensors, job.ny)
-    deviation = np.empty(2 * job.nv + job.na)
+@numba.njit(inline="always")
+def _roll_out(job, X, U, applied, Y, deviation):
+    """Simulate from X[0] under U; return the first bad knot, N + 1 for none. X, Y and `applied` hold up to there."""
+    ctrl, sensors, N = _vector(job.ctrl, job.nu), _vector(job.sensors, job.ny), job.N
     mj_resetData(job.model, job.data)
     _load(job, X[0])
     for n in range(N):
         if job.K != 0:
-            _feedback(job, n, X[n], deviation, U[n])
-        if not (_sane(U[n]) and _sane(X[n])):
-            bad_knot[0] = n
-            return
-        copy_into(U[n], ctrl)
+            _feedback(job, n, X[n], U[n], deviation, applied[n])
+        if not (_sane(applied[n]) and _sane(X[n])):
+            return n
+        copy_into(applied[n], ctrl)
         mj_step(job.model, job.data)
         copy_into(sensors, Y[n])
         _store(job, X[n + 1])
         if _warned(job) or not _sane(X[n + 1]):
-            bad_knot[0] = n + 1 if _sane(Y[n]) else n
-            return
+            return n + 1 if _sane(Y[n]) else n
         if not _sane(Y[n]):
-            bad_knot[0] = n
-            return
+            return n
     for i in range(job.nu):
         ctrl[i] = 0.0
     mj_forward(job.model, job.data)
     copy_into(sensors, Y[N])
-    bad_knot[0] = N if _warned(job) or not _sane(Y[N]) else N + 1
+    return N if _warned(job) or not _sane(Y[N]) else N + 1
+
+
+@c_function(void_t(address_t, address_t, types.int32, types.voidptr))
+def simulate(_model, _data, worker, jobs):
+    """Roll out number `first`, `first` + `stride`, ... below `last`, each from its X[0] under its U.
+
+    X, U, Y and `applied` are tables of addresses, one for each rollout. Where K is given the law makes `applied` of U;
+    where it is not, `applied` holds what U holds.
+    """
+    job = numba.carray(jobs, worker + 1, JOB)[worker]
+    nx, N, deviation = job.nq + job.nv + job.na, job.N, np.empty(2 * job.nv + job.na)
+    Xs, Us, Ys = _integers(job.X, job.last), _integers(job.U, job.last), _integers(job.Y, job.last)
+    controls, bad_knots = _integers(job.applied, job.last), _integers(job.bad_knots, job.last)
+    for i in range(job.first, job.last, job.stride):
+        X, Y = _matrix(Xs[i], N + 1, nx), _matrix(Ys[i], N + 1, job.ny)
+        U, applied = _matrix(Us[i], N, job.nu), _matrix(controls[i], N, job.nu)
+        bad_knots[i] = _roll_out(job, X, U, applied, Y, deviation)
 
 
 @c_function(void_t(address_t, address_t, types.int32, types.voidptr))

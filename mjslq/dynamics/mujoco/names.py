@@ -1,12 +1,14 @@
-"""Names of the entries of states, controls and outputs, made of the names in the model."""
+"""Names of the entries of states, controls and outputs, made of the names in the model, and the controls' limits."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import mujoco
+import numpy as np
 
 from mjslq.dynamics.dynamics import Output
+from mjslq.validation import Array
 
 _POSITIONS = {
     mujoco.mjtJoint.mjJNT_FREE: (".x", ".y", ".z", ".qw", ".qx", ".qy", ".qz"),
@@ -44,6 +46,15 @@ def control_names(model: mujoco.MjModel) -> tuple[str, ...]:
         inputs = [mujoco.mj_actuatorInputName(model, a, k) or str(k) for k in range(count)]
         names += [name] if count == 1 else [f"{name}.{given}" for given in inputs]
     return tuple(names)
+
+
+def control_limits(model: mujoco.MjModel) -> Array:
+    """Range that MuJoCo clamps each control to; -inf and inf where it does not. Shape (nu, 2)."""
+    clamped = np.asarray(model.actuator_ctrllimited, dtype=bool)
+    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL):
+        clamped = np.zeros_like(clamped)
+    limits: Array = np.where(clamped[:, None], model.actuator_ctrlrange, [-np.inf, np.inf])
+    return limits
 
 
 def output_names(model: mujoco.MjModel) -> tuple[str, ...]:

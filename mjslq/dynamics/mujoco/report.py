@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import mujoco
+import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.cover import describe, refusals
 from mjslq.dynamics.mujoco.inverse.table.plan import can_be_constrained, has_contacts
+from mjslq.dynamics.mujoco.names import control_limits
 
 _JOINT_NAMES = {
     mujoco.mjtJoint.mjJNT_FREE: "free joints",
@@ -42,8 +44,8 @@ def _parts(model: mujoco.MjModel, differences: str) -> list[tuple[str, str]]:
         number = int((model.jnt_type == kind).sum())
         chart = "quaternion: tangent directions" if kind in (0, 1) else "plain numbers"
         rows.append((f"{number} {name}", chart) if number else ("", ""))
-    limited = int(model.actuator_ctrllimited.sum())
-    rows.append((f"{model.nu} actuators", f"{limited} with control limits, clamped by MuJoCo"))
+    limited = int(np.isfinite(control_limits(model)).any(axis=1).sum())
+    rows.append((f"{model.nu} controls", f"{limited} with limits, clamped by MuJoCo"))
     rows.append((f"{model.na} activations", "part of the state") if model.na else ("", ""))
     rows.append((f"{model.ntendon} tendons", differences) if model.ntendon else ("", ""))
     if not has_contacts(model):

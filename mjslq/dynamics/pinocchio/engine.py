@@ -28,7 +28,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from mjslq.dynamics.dynamics import Dynamics, Linearization, Output
+from mjslq.dynamics.dynamics import Dynamics, Feedback, Linearization, Output
 from mjslq.dynamics.pinocchio import models
 from mjslq.dynamics.pinocchio.outputs import Readings
 from mjslq.scene import Scene
@@ -94,6 +94,7 @@ class PinocchioDynamics(Dynamics):
         self._readings = Readings(self.model, outputs)
         self.nx, self.ndx = self.model.nq + self.model.nv, 2 * self.model.nv
         self.nu, self.ny = len(self._actuated), self._readings.ny
+        self.control_limits = models.effort_limits(self.model, self._actuated)
         self.state_names = models.state_names(self.model)
         self.output_names = self._readings.names
         self.name = name or self.model.name or "model"
@@ -152,13 +153,6 @@ class PinocchioDynamics(Dynamics):
         return np.concatenate([pin.neutral(self.model), np.zeros(self.model.nv)])
 
     @property
-    def control_range(self) -> Array:
-        """Lower and upper limit of each control by the file's efforts, -inf and inf without. Shape (nu, 2)."""
-        upper = np.asarray(self.model.upperEffortLimit)[self._actuated]
-        upper = np.where((upper > 0.0) & (upper < 1e300), upper, np.inf)
-        return np.stack([-upper, upper], axis=-1)
-
-    @property
     def frame_names(self) -> tuple[str, ...]:
         """Names that `outputs` may take."""
         return tuple(dict.fromkeys(frame.name for frame in self.model.frames))
@@ -177,19 +171,11 @@ class PinocchioDynamics(Dynamics):
         weight: Array = pin.computeGeneralizedGravity(self.model, self.model.createData(), q)
         return weight[self._actuated]
 
-    def rollout(self, x0: ArrayLike, U: ArrayLike) -> Trajectory:
-        """Simulate from `x0` (nx,) under the controls `U` (N, nu)."""
-        x0, U = self.checked_start(x0), self.checked_controls(U)
+    def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None = None) -> list[Trajectory]:
+        """Simulate several times, one after the other; see `Dynamics.rollouts`."""
+        controls = [np.ascontiguousarray(U[0])] if len(U) == 1 else [u.copy() for u in U]
         with self._lock:
-            return self._horizon.simulate(x0, U)
-
-    def rollout_feedback(
-        self, reference: Trajectory, K: Array, k: Array, alpha: float = 1.0, x0: ArrayLike | None = None
-    ) -> Trajectory:
-        """Simulate under u_n = u_ref,n + alpha k_n - K_n difference(x_ref,n, x_n); see `Dynamics`."""
-        K, k, x0 = self.checked_feedback(reference, K, k, x0)
-        with self._lock:
-            return self._horizon.simulate(x0, reference.U + float(alpha) * k, reference.X, K)
+            return [self._horizon.simulate(x0, u, feedback) for x0, u in zip(x0s, controls, strict=True)]
 
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
         """One step by the joint-space mass matrix: the next state (nx,) and the outputs (ny,) at (x, u)."""
@@ -267,9 +253,9 @@ class PinocchioDynamics(Dynamics):
     def checked_start(self, x0: ArrayLike) -> Array:
         """Return `x0` as a state (nx,) with unit quaternions, or raise ValueError."""
         x = super().checked_start(x0)
-        if self._plain:
-            return x
         nq = self.model.nq
+        if self._plain or pin.isNormalized(self.model, x[:nq], 1e-12):
+            return x
         with np.errstate(all="ignore"):
             q = pin.normalize(self.model, x[:nq].copy())
         if not np.isfinite(q).all() or not pin.isNormalized(self.model, q, 1e-9):

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mjslq.dynamics.dynamics import Linearization
+from mjslq.dynamics.dynamics import Feedback, Linearization
 from mjslq.dynamics.pinocchio import kernels
 from mjslq.dynamics.pinocchio.outputs import Readings
 from mjslq.trajectory import Trajectory
@@ -48,11 +48,13 @@ class Recorder:
 
 
 class Law(NamedTuple):
-    """Controls of a simulation: u_n = U[n] - K[n] difference(X_ref[n], x_n); no feedback where K is empty."""
+    """Feedback as the kernels take it, see there; K and `applied` have no rows where there is none."""
 
-    U: Array
     X_ref: Array
     K: Array
+    lower: Array
+    upper: Array
+    applied: Array
 
 
 class Horizon(ABC):
@@ -73,6 +75,8 @@ class Horizon(ABC):
         self._memory = {j: (data.oMi[j].rotation, data.oMi[j].translation) for j in readings.joints}
         self.q, self.v = np.zeros(model.nq), np.zeros(model.nv)
         self.tau, self.dq = np.zeros(model.nv), np.zeros(model.nv)
+        states, controls = np.empty((0, model.nq + model.nv)), np.empty((0, len(actuated)))
+        self._no_law = Law(states, np.empty((0, len(actuated), 2 * model.nv)), controls, controls, controls)
 
     @abstractmethod
     def advance(self, n: int, X: Array, recorder: Recorder) -> bool:
@@ -87,36 +91,33 @@ class Horizon(ABC):
         J0, J1 = pin.dIntegrate(self.model, q, d)
         return J0[self.curved, self.curved], J1[self.curved, self.curved]
 
-    def simulate(self, x0: Array, U: Array, X_ref: Array | None = None, K: Array | None = None) -> Trajectory:
-        """Simulate under U, or under U - K difference(x_ref, x)."""
+    def simulate(self, x0: Array, U: Array, feedback: Feedback | None) -> Trajectory:
+        """Simulate from `x0` under `U` (N, nu), or under the law; see `Dynamics.rollouts`."""
         N, nq, nv = len(U), self.model.nq, self.model.nv
-        X = np.full((N + 1, nq + nv), np.nan)
+        X = np.empty((N + 1, nq + nv))
         X[0], self.q[:], self.v[:] = x0, x0[:nq], x0[nq:]
-        # Copies: kernels are compiled for arrays that may be written to, which those of trajectories may not.
-        law = Law(
-            np.array(U),
-            np.zeros((0, nq + nv)) if X_ref is None else np.array(X_ref),
-            np.zeros((0, U.shape[1], 2 * nv)) if K is None else np.array(K),
-        )
+        law = self._no_law if feedback is None else Law(*feedback.contiguous(), np.empty_like(U))
         recorder = Recorder(self._memory, N + 1)
-        good = self.run(X, law, recorder)
+        good = self.run(X, U, law, recorder)
         if good == N:
             pin.forwardKinematics(self.model, self.data, self.q)
             recorder.note(N)
         Y = self.readings.read(recorder.placements, N + 1)
+        applied = U if feedback is None else law.applied
         if good == N:
-            return Trajectory(X, law.U, Y, self.h)
+            return Trajectory.unchecked(X, applied, Y, self.h)
         bad = good + 1
-        X[bad:], Y[bad:], law.U[bad:] = np.nan, np.nan, U[bad:]
-        return Trajectory(X, law.U, Y, self.h, diverged_at=bad)
+        X[bad:], Y[bad:] = np.nan, np.nan
+        if feedback is not None:
+            applied[bad:] = U[bad:]
+        return Trajectory.unchecked(X, applied, Y, self.h, bad)
 
-    def run(self, X: Array, law: Law, recorder: Recorder) -> int:
+    def run(self, X: Array, U: Array, law: Law, recorder: Recorder) -> int:
         """Simulate step by step; return how many steps went well."""
-        U, X_ref, K = law
         for n in range(len(U)):
-            if len(K) and not self.plain:
-                self.dq[:] = pin.difference(self.model, X_ref[n, : self.q.size], self.q)
-            kernels.control(n, self.plain, X, U, self.dq, X_ref, K, self.damping, self.actuated, self.tau)
+            if len(law.K) and not self.plain:
+                self.dq[:] = pin.difference(self.model, law.X_ref[n, : self.q.size].copy(), self.q)
+            kernels.control(n, self.plain, X, U, self.dq, *law, self.damping, self.actuated, self.tau)
             if not self.advance(n, X, recorder):
                 return n
         return len(U)
@@ -124,7 +125,7 @@ class Horizon(ABC):
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of all steps and outputs."""
         model, N, nq, nv = self.model, trajectory.horizon, self.model.nq, self.model.nv
-        X, tau, J = np.array(trajectory.X), np.zeros((N, nv)), np.zeros((N + 1, nv, 6))
+        X, tau, J = trajectory.X, np.zeros((N, nv)), np.zeros((N + 1, nv, 6))
         tau[:, self.actuated] = trajectory.U
         tau -= self.damping * X[:-1, nq:]
         recorder = Recorder(self._memory, N + 1)
@@ -141,14 +142,13 @@ class Horizon(ABC):
 class SemiImplicitEuler(Horizon):
     """The step at the head of this file. `model` has h D in its armature already."""
 
-    def run(self, X: Array, law: Law, recorder: Recorder) -> int:
+    def run(self, X: Array, U: Array, law: Law, recorder: Recorder) -> int:
         """See `Horizon.run`; with plain positions a step is one call of Pinocchio's and one of ours."""
-        U, X_ref, K = law
         if not self.plain or not len(U):
-            return super().run(X, law, recorder)
+            return super().run(X, U, law, recorder)
         model, data, q, v, tau, world = self.model, self.data, self.q, self.v, self.tau, pin.Convention.WORLD
-        rest = (self._acceleration, q, v, self.dq, X, U, X_ref, K, self.damping, self.actuated, tau)
-        kernels.control(0, True, X, U, self.dq, X_ref, K, self.damping, self.actuated, tau)
+        rest = (self._acceleration, q, v, self.dq, X, U, *law, self.damping, self.actuated, tau)
+        kernels.control(0, True, X, U, self.dq, *law, self.damping, self.actuated, tau)
         for n in range(len(U)):
             pin.aba(model, data, q, v, tau, world)
             recorder.note(n)

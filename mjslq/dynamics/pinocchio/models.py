@@ -110,6 +110,16 @@ def actuated_dofs(model: Any, joints: Sequence[str] | None) -> tuple[Array, tupl
     return np.array(dofs, dtype=np.int64), tuple(names)
 
 
+def effort_limits(model: Any, dofs: Array) -> Array:
+    """Least and largest torque or force on each of `dofs`, by the file's efforts. Shape (nu, 2).
+
+    -inf and inf where the file gives none, or zero, which URDF files write for "unknown".
+    """
+    limits = np.stack([model.lowerEffortLimit, model.upperEffortLimit], axis=-1)[dofs]
+    given = (limits[:, 0] < limits[:, 1]) & (np.abs(limits) < 1e300).all(axis=1)
+    return np.where(given[:, None], limits, [-np.inf, np.inf])
+
+
 def state_names(model: Any) -> tuple[str, ...]:
     """Names of x: positions "elbow", "root.qx"; velocities "elbow.vel", "root.wx"."""
     positions: list[str] = []
