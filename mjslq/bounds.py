@@ -26,7 +26,7 @@ class Bounds:
     that leave nothing between them; the message names the control.
     """
 
-    u: Literal["model"] | None | tuple[ArrayLike, ArrayLike] = "model"
+    u: Literal["model"] | tuple[ArrayLike, ArrayLike] | None = "model"
     """"model" for the engine's own limits (`Dynamics.control_limits`), None for none, or (lower, upper): numbers, one
     a control or one a step and control, -inf and inf where there is no limit. Shape () | (nu,) | (N, nu). A MuJoCo
     model clamps its controls at ctrlrange all the same: beyond it a control has the effect of the limit."""

@@ -190,7 +190,7 @@ def compare(
     from rich.table import Table
 
     from mjslq import problems
-    from mjslq.optimize import COMMON
+    from mjslq.options import COMMON
     from mjslq.reports import compare as comparing
     from mjslq.validation import choose
 

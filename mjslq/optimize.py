@@ -2,59 +2,80 @@
 
 from __future__ import annotations
 
-import inspect
 import sys
-import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any, TextIO
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mjslq import starts
+from mjslq.compiling import CompileClock
 from mjslq.log import IterationLog
+from mjslq.options import COMMON, RECORDS, Stopping, names
 from mjslq.problem import Problem
 from mjslq.result import Result
-from mjslq.solvers import gradient, newton, slq, trust_region
+from mjslq.solvers.gradient import Gradient
+from mjslq.solvers.interrupts import Interrupts
 from mjslq.solvers.iterate import Iterate
-from mjslq.solvers.loop import Monitor, Outcome, Stopping
-from mjslq.solvers.shooting import close_gaps, shortened
-from mjslq.validation import Array, as_array, choose
+from mjslq.solvers.loop import Outcome, descend
+from mjslq.solvers.method import Method
+from mjslq.solvers.monitor import Monitor
+from mjslq.solvers.newton import Newton
+from mjslq.solvers.slq import SLQ
+from mjslq.solvers.trust_region import TrustRegion
+from mjslq.validation import choose
 
 
 @dataclass(frozen=True)
-class Method:
+class MethodInfo:
     """An entry of the table of methods."""
 
-    run: Callable[..., Outcome]
-    """run(start, stopping, monitor, **options)."""
+    make: Callable[[Any], Method]
+    """make(options) -> the method, for one solve."""
     summary: str
     """What it does, in a line."""
     needs: str
     """Derivatives that it uses."""
-    shooting: str | None = None
-    """How it takes a state guess X0, by "first" or "second" derivatives; None when it does not."""
+    record: type[Any]
+    """The record of its options (`mjslq.options`)."""
+    takes_states: bool = False
+    """Whether it takes a guess of the states."""
 
     @property
     def options(self) -> dict[str, Any]:
         """Its own options, with their defaults."""
-        parameters = inspect.signature(self.run).parameters.values()
-        return {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY}
+        return {field.name: field.default for field in fields(self.record)}
 
 
 METHODS = {
-    "slq": Method(slq.slq, "Gauss-Newton by LQ tracking sweeps, with a line search", "first derivatives", "first"),
-    "newton": Method(
-        newton.newton, "Newton by LQ sweeps, made to descend, with a line search", "second derivatives", "second"
+    "slq": MethodInfo(
+        SLQ, "Gauss-Newton by LQ tracking sweeps, with a line search", "first derivatives", RECORDS["slq"], True
     ),
-    "trust-region": Method(
-        trust_region.trust_region, "second-order model, minimized over a ball whose size adapts", "second derivatives"
+    "newton": MethodInfo(
+        Newton, "Newton by LQ sweeps, made to descend, with a line search", "second derivatives",
+        RECORDS["newton"], True,
     ),
-    "gradient": Method(gradient.gradient, "steepest descent with exact line search", "first derivatives"),
+    "trust-region": MethodInfo(
+        TrustRegion, "second-order model, minimized over a ball whose size adapts", "second derivatives",
+        RECORDS["trust-region"],
+    ),
+    "gradient": MethodInfo(
+        Gradient, "steepest descent with exact line search", "first derivatives", RECORDS["gradient"]
+    ),
+}  # fmt: skip
+ALIASES = {"ilqr": "slq"}
+"""Other names that the field has for a method."""
+PRESETS: dict[str, dict[str, dict[str, Any]]] = {
+    "slq": {
+        "sideris-bobrow": {"step": "open-loop", "acceleration": False, "rescue": False, "multiplier": None},
+    },
 }
+"""Options by the name of a paper, for a method that is the paper's and nothing else."""
 
 
-def methods() -> dict[str, Method]:
+def methods() -> dict[str, MethodInfo]:
     """Methods by name: what each does, needs and can be told."""
     return dict(METHODS)
 
@@ -63,10 +84,13 @@ def solve(
     problem: Problem,
     method: str = "slq",
     *,
+    guess: Any = None,
     U0: ArrayLike | None = None,
     X0: ArrayLike | None = None,
     tol: float | None = None,
     max_iterations: int | None = None,
+    deadline: float | None = None,
+    preset: str | None = None,
     verbose: int = 0,
     callback: Callable[[IterationLog], object] | None = None,
     check_derivatives: bool = False,
@@ -74,24 +98,32 @@ def solve(
     stream: TextIO | None = None,
     **options: Any,
 ) -> Result:
-    """Minimize the cost of `problem` over its controls.
+    """Minimize the cost of `problem` over its controls, within their limits.
 
     Parameters
     ----------
     problem : Problem
         What to solve. Its own `options` hold unless given here.
     method : str
-        One of `methods()`.
+        One of `methods()`; "ilqr" is another name for "slq".
+    guess : Result, Trajectory, Policy or array
+        What to start from: a result or a policy is followed under its feedback, a trajectory's controls are taken;
+        an array holds controls, as U0, or states, as X0.
     U0 : array
         Controls to start from; the problem's own start unless given. Shape (N, nu) | (nu,).
     X0 : array
         States to start from, which need not obey the dynamics: multiple shooting closes the gaps between the steps
         first. Its first state is the problem's own, whatever is given. "slq" and "newton" take it. Shape (N + 1, nx).
     tol : float
-        Stop when ||U_bar|| <= tol ||U|| or ||dJ/dU|| <= tol; 1e-6 unless the problem says otherwise. The two can
-        be set apart by `tol_direction` and `tol_gradient`; 0 switches one off.
+        Stop when ||U_bar|| <= tol ||U|| or ||dJ/dU|| <= tol, with the projected gradient; 1e-6 unless the problem says
+        otherwise. The two can be set apart by `tol_direction` and `tol_gradient`; 0 switches one off. The message tells
+        which of them ended the solve.
     max_iterations : int
         300 unless the problem says otherwise.
+    deadline : float
+        Wall time after which the best iterate so far is returned, compiling not counted. [s]
+    preset : str
+        A paper's version of the method, nothing added: "sideris-bobrow" for "slq".
     verbose : int
         0 is silent, 1 prints a line an iteration.
     callback : callable
@@ -103,12 +135,13 @@ def solve(
     stream : file
         Where `verbose` prints; standard output unless given.
     **options
-        The method's own; see `methods()`.
+        The method's own; see `methods()` and `mjslq.options`.
 
     Returns
     -------
     Result
-        Not converging is a `status` with advice, never an exception.
+        Not converging is a `status` with advice, never an exception. An error in a callback, a cost or the simulator
+        after the start ends the solve with the best iterate; its traceback is `Result.error`.
 
     Raises
     ------
@@ -117,99 +150,66 @@ def solve(
     """
     if not isinstance(problem, Problem):
         raise ValueError(f"problem must be a mjslq.Problem, got {type(problem).__name__}")
-    chosen = METHODS[choose("method", method, METHODS)]
-    asked = {"tol": tol, "max_iterations": max_iterations} | options
-    settings = _settings(problem, method, {name: value for name, value in asked.items() if value is not None})
+    method = ALIASES.get(method, method)
+    chosen = METHODS[choose("method", method, [*METHODS, *ALIASES])]
+    asked = {"tol": tol, "max_iterations": max_iterations, "deadline": deadline} | options
+    asked = {name: value for name, value in asked.items() if value is not None}
+    settings = _settings(problem, method, preset, asked)
     stopping = _stopping(settings)
-    own = {name: settings.pop(name) for name in list(settings) if name in chosen.options}
-    for name in settings:
-        choose(f"option for method {method!r}", name, option_names(method))
-    monitor = Monitor(verbose, callback, keep_iterates, sys.stdout if stream is None else stream)
-    guess = problem.U0 if U0 is None else U0
-    assert guess is not None  # a problem fills in its own start when it is made
-    controls = problem.checked_controls(guess)
-    states = None if X0 is None else _state_guess(problem, method, X0)
-    start = Iterate(problem, problem.rollout(controls))
-    if check_derivatives:
-        _refuse_wrong_derivatives(start)
-    if states is None:
-        outcome = chosen.run(start, stopping, monitor, **own)
-    else:
-        outcome = _shoot(problem, states, controls, chosen, stopping, monitor, own)
-    result = _result(outcome, monitor, problem, method, asdict(stopping) | chosen.options | own)
+    record = chosen.record(**settings)
+    start = starts.read(problem, guess, U0, X0)
+    if start.X is not None and not chosen.takes_states:
+        takers = [name for name, entry in METHODS.items() if entry.takes_states]
+        raise ValueError(f"method {method!r} takes no state guess X0; these do: {', '.join(takers)}")
+    with CompileClock() as compiling, Interrupts() as interrupts:
+        monitor = Monitor(verbose, callback, keep_iterates, sys.stdout if stream is None else stream, compiling)
+        if check_derivatives:
+            _refuse_wrong_derivatives(problem, start.U)
+        if start.X is None:
+            here = Iterate(problem, problem.dynamics.rollouts(np.asarray(problem.x0)[None], start.U[None])[0])
+        else:
+            here = Iterate.guess(problem, start.X, start.U)
+        outcome = descend(here, chosen.make(record), stopping, monitor, interrupts)
+        remarks = [start.remark, outcome.remark]
+        result = _result(outcome, monitor, problem, method, asdict(stopping) | asdict(record), remarks)
     if verbose:
         print(f"{result.status.value}: {result.message}", file=monitor.stream)
     return result
 
 
-def _state_guess(problem: Problem, method: str, X0: ArrayLike) -> Array:
-    """X0 as states (N + 1, nx), the first of them the problem's own."""
-    takers = [name for name, entry in METHODS.items() if entry.shooting]
-    if METHODS[method].shooting is None:
-        raise ValueError(f"method {method!r} takes no state guess X0; these do: {', '.join(takers)}")
-    dynamics = problem.dynamics
-    X = np.array(as_array("X0", X0, (problem.horizon + 1, dynamics.nx)))
-    X = np.stack([dynamics.checked_start(x) for x in X])
-    X[0] = problem.x0
-    return X
+def option_names(method: str) -> list[str]:
+    """Names of all options that `solve` takes for a method."""
+    return names(ALIASES.get(method, method))
 
 
-def _shoot(
-    problem: Problem,
-    X: Array,
-    U: Array,
-    chosen: Method,
-    stopping: Stopping,
-    monitor: Monitor,
-    own: dict[str, Any],
-) -> Outcome:
-    """Close the gaps of a state guess, then go on by single shooting."""
-    closed = close_gaps(problem, X, U, stopping, monitor, chosen.shooting == "second")
-    if closed.status is not None:
-        return Outcome(closed.status, closed.iterate, closed.gains)
-    return chosen.run(closed.iterate, shortened(stopping, monitor), monitor, **own)
-
-
-def _settings(problem: Problem, method: str, asked: dict[str, Any]) -> dict[str, Any]:
-    """Options of the problem as far as the method knows them, and over them what the caller asked for."""
-    known = option_names(method)
+def _settings(problem: Problem, method: str, preset: str | None, asked: dict[str, Any]) -> dict[str, Any]:
+    """Options of the problem as far as the method has them, over them the preset's, over these what was asked for."""
+    known = names(method)
+    for name in asked:
+        choose(f"option for method {method!r}", name, known)
     own = {name: value for name, value in problem.options.items() if name in known}
     if "tol" in asked:  # it stands for both tolerances, the problem's own included
         own = {name: value for name, value in own.items() if not name.startswith("tol")}
+    if preset is not None:
+        own |= PRESETS.get(method, {})[choose(f"preset of method {method!r}", preset, PRESETS.get(method, {}))]
     return own | asked
-
-
-def option_names(method: str) -> list[str]:
-    """Names of all options that `solve` takes for a method."""
-    return [*METHODS[choose("method", method, METHODS)].options, *COMMON]
-
-
-COMMON = ("tol", "tol_direction", "tol_gradient", "max_iterations")
-"""Options that every method takes."""
 
 
 def _stopping(settings: dict[str, Any]) -> Stopping:
     """Take the stopping options out of `settings`; `tol` stands for both tolerances unless they are given."""
-    default = Stopping()
-    tol = settings.pop("tol", None)
-    values = {
-        "tol_direction": settings.pop("tol_direction", default.tol_direction if tol is None else tol),
-        "tol_gradient": settings.pop("tol_gradient", default.tol_gradient if tol is None else tol),
-    }
-    for name, value in values.items():
-        number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-        if not (number and 0.0 <= value < np.inf):
-            raise ValueError(f"{name} must be a number of at least 0, got {value!r}")
-    limit = settings.pop("max_iterations", default.max_iterations)
-    if isinstance(limit, bool) or not isinstance(limit, (int, np.integer)) or limit < 0:
-        raise ValueError(f"max_iterations must be a whole number of at least 0, got {limit!r}")
-    return Stopping(float(values["tol_direction"]), float(values["tol_gradient"]), int(limit))
+    given = {name: settings.pop(name) for name in COMMON if name in settings}
+    if "tol" in given:
+        tol = given.pop("tol")
+        Stopping(tol, tol)  # so that a wrong one is named by its own name
+        given = {"tol_direction": tol, "tol_gradient": tol} | given
+    return Stopping(**given)
 
 
-def _refuse_wrong_derivatives(start: Iterate) -> None:
-    if start.trajectory.diverged:
+def _refuse_wrong_derivatives(problem: Problem, U: Any) -> None:
+    trajectory = problem.dynamics.rollout(problem.x0, U)
+    if trajectory.diverged:
         return
-    check = start.problem.dynamics.check_derivatives(start.trajectory)
+    check = problem.dynamics.check_derivatives(trajectory)
     for name in check.suspects:
         step, row, column = check.worst[name]
         raise ValueError(
@@ -219,27 +219,38 @@ def _refuse_wrong_derivatives(start: Iterate) -> None:
         )
 
 
-def _result(outcome: Outcome, monitor: Monitor, problem: Problem, method: str, options: dict[str, Any]) -> Result:
-    dynamics, iterate = problem.dynamics, outcome.iterate
-    message = " ".join(part for part in (outcome.status.message, outcome.remark) if part)
+def _result(
+    outcome: Outcome, monitor: Monitor, problem: Problem, method: str, options: dict[str, Any], remarks: list[str]
+) -> Result:
+    dynamics, iterate, box = problem.dynamics, outcome.iterate, problem.box
+    multipliers = {}
+    if box.bounded and np.isfinite(iterate.gradient_norm):
+        multipliers["controls"] = iterate.projected_gradient - iterate.gradient
     return Result(
         status=outcome.status,
-        message=message,
+        message=" ".join(part for part in (outcome.status.message, *remarks) if part),
         cost=iterate.cost,
-        iterations=sum(entry.alpha > 0.0 for entry in monitor.log),
+        iterations=sum(entry.outcome == "accepted" for entry in monitor.log),
         gradient_norm=iterate.gradient_norm,
         trajectory=iterate.trajectory,
         gains=outcome.gains,
+        lower=box.lower,
+        upper=box.upper,
+        multipliers=multipliers,
         log=tuple(monitor.log),
         iterates=tuple(monitor.iterates),
-        seconds=time.perf_counter() - monitor.started,
+        seconds=monitor.seconds,
+        compile_seconds=monitor.compiling.seconds,
         problem=problem.name,
         method=method,
-        options=options | {"parameters": dict(problem.parameters)},
+        options=options,
+        parameters=dict(problem.parameters),
         names={
             "states": tuple(dynamics.state_names),
             "controls": tuple(dynamics.control_names),
             "outputs": tuple(dynamics.output_names),
         },
+        space=dynamics.space,
         scene=problem.scene(),
+        error=outcome.error,
     )

@@ -151,7 +151,8 @@ def check(options: Mapping[str, Any]) -> None:
         choose("option", name, known)
         if name == "tol":
             Stopping(value, value)
-        for record in (Stopping, *RECORDS.values()):
+        records: list[type[Any]] = [Stopping, *RECORDS.values()]
+        for record in records:
             if name in (field.name for field in fields(record)):
                 record(**{name: value})
 

@@ -1,12 +1,13 @@
 """`Problem`: a system, a horizon, a start and a cost, checked as a whole when it is made.
 
-    minimize   J(U) = sum_n l_n(x_n, u_n)   subject to   x_{n+1} = f_n(x_n, u_n),  x_0 given
+    minimize   J(U) = sum_n l_n(x_n, u_n)   subject to   x_{n+1} = f_n(x_n, u_n),  x_0 given,  u within limits
 
 (Sideris and Bobrow 2005, (1)-(2)). The controls U are the unknowns; the states follow by rollout.
 """
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,12 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mjslq.bounds import Bounds
 from mjslq.costs import BoundTerm, CostTerm, Expansion
 from mjslq.dynamics.dynamics import Dynamics, Linearization
 from mjslq.lq.adjoint import adjoint
+from mjslq.lq.box import Box
+from mjslq.options import check as check_options
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, as_array, count, frozen
+from mjslq.validation import Array, as_array, count, finite, frozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,18 +43,23 @@ class Problem:
     """Initial state. Shape (nx,)."""
     costs: Sequence[CostTerm]
     """Terms of the cost, added up."""
+    bounds: Bounds | None = None
+    """Limits of the controls; the engine's own (`Bounds()`) unless given. `Bounds(u=None)` lifts them."""
     name: str = "problem"
     """For titles and messages."""
     U0: ArrayLike | None = None
-    """Controls to start from; zero unless given. Shape (nu,) | (N, nu)."""
+    """Controls to start from, clipped to the limits; zero unless given. Shape (nu,) | (N, nu)."""
     options: Mapping[str, Any] = field(default_factory=dict)
-    """Options that `solve` takes for this problem unless told otherwise, such as its stopping tolerance."""
+    """Options that `solve` takes for this problem unless told otherwise, such as its stopping tolerance, as far as
+    the method has them. A name that no method has is refused."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
     """What the problem was made with, for the record."""
     describe: Callable[[Trajectory], dict[str, str]] | None = None
-    """What a motion amounts to in the problem's own words, for summaries: name -> text."""
-    drawn_by: Scene | None = None
+    """Problem-specific summary lines of a trajectory: name -> text."""
+    drawing: Scene | None = None
     """What a viewer draws; the engine's own scene unless given."""
+    box: Box = field(init=False, repr=False)
+    """Limits of the controls at each step, -inf and inf where there are none. Arrays of shape (N, nu)."""
     _terms: tuple[BoundTerm, ...] = field(init=False, repr=False, default=())
 
     def __post_init__(self) -> None:
@@ -63,7 +72,12 @@ class Problem:
         U0 = np.zeros(dynamics.nu) if self.U0 is None else as_array("U0", self.U0)
         if U0.shape not in ((dynamics.nu,), (N, dynamics.nu)):
             raise ValueError(f"U0 must have shape ({dynamics.nu},) or ({N}, {dynamics.nu}), got {U0.shape}")
-        store(self, "U0", frozen(np.array(np.broadcast_to(U0, (N, dynamics.nu)), order="C")))
+        bounds = Bounds() if self.bounds is None else self.bounds
+        if not isinstance(bounds, Bounds):
+            raise ValueError(f"bounds must be mjslq.Bounds, got {type(bounds).__name__}")
+        store(self, "box", bounds.bind(dynamics, N))
+        store(self, "U0", frozen(self.box.clip(np.broadcast_to(U0, (N, dynamics.nu)))))
+        check_options(self.options)
         if not isinstance(self.costs, (CostTerm, Sequence)):
             raise ValueError(f"costs must be a list of terms of mjslq.costs, got {type(self.costs).__name__}")
         terms = [self.costs] if isinstance(self.costs, CostTerm) else list(self.costs)
@@ -80,9 +94,25 @@ class Problem:
         store(self, "costs", tuple(terms))
         store(self, "_terms", tuple(bound))
 
+    def at(self, x0: ArrayLike, t0: float = 0.0) -> Problem:
+        """The same problem from another initial state (nx,), its costs' time shifted by `t0` [s].
+
+        Shares everything that does not depend on these: nothing is bound anew.
+        """
+        moved = copy.copy(self)
+        moved.__dict__.pop("_prepared", None) if t0 else None
+        object.__setattr__(moved, "x0", frozen(np.array(self.dynamics.checked_start(x0))))
+        if t0:
+            object.__setattr__(moved, "_terms", tuple(term.at(finite("t0", t0)) for term in self._terms))
+        return moved
+
     def rollout(self, U: ArrayLike) -> Trajectory:
         """Simulate from x0 under the controls `U` (N, nu)."""
         return self.dynamics.rollout(self.x0, self.checked_controls(U))
+
+    def violation(self, trajectory: Trajectory) -> float:
+        """Largest distance of a control from its limits; 0 when all are within."""
+        return float(np.abs(trajectory.U - self.box.clip(trajectory.U)).max(initial=0.0))
 
     def cost(self, trajectory: Trajectory) -> float:
         """Total cost J; infinite for a trajectory that diverged."""
@@ -129,7 +159,7 @@ class Problem:
 
     def scene(self) -> Scene | None:
         """What a viewer draws for this problem."""
-        return self.dynamics.scene() if self.drawn_by is None else self.drawn_by
+        return self.dynamics.scene() if self.drawing is None else self.drawing
 
     def checked_controls(self, U: ArrayLike, name: str = "U0") -> Array:
         """Return `U` as (N, nu); one control (nu,) is held over the horizon."""

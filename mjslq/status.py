@@ -12,6 +12,8 @@ class Status(enum.Enum):
     MAX_ITERATIONS = "max_iterations"
     STEP_TOO_SMALL = "step_too_small"
     DIVERGED = "diverged"
+    OUT_OF_TIME = "out_of_time"
+    FAILED = "failed"
     INTERRUPTED = "interrupted"
     STOPPED = "stopped"
 
@@ -24,7 +26,7 @@ class Status(enum.Enum):
 _MESSAGES = {
     Status.CONVERGED: "A stationary point was found to the tolerance asked for.",
     Status.MAX_ITERATIONS: (
-        "The iterations ran out before the tolerance was met. Raise max_iterations, start nearer (U0), "
+        "The iterations ran out before the tolerance was met. Raise max_iterations, start nearer (guess=), "
         "weigh the controls more, or ask for less (tol)."
     ),
     Status.STEP_TOO_SMALL: (
@@ -32,9 +34,11 @@ _MESSAGES = {
         "derivatives (check_derivatives=True), smooth the contacts, or accept this point if its gradient is small."
     ),
     Status.DIVERGED: (
-        "There is no finite cost or derivative to go on from. Start from controls that keep the system bounded (U0), "
-        "shorten the timestep, or check the cost."
+        "There is no finite cost or derivative to go on from. Start from controls that keep the system bounded "
+        "(guess=), shorten the timestep, or check the cost."
     ),
+    Status.OUT_OF_TIME: "The deadline came before the tolerance was met; this is the best iterate so far.",
+    Status.FAILED: "An error ended the solve; this is the best iterate so far.",
     Status.INTERRUPTED: "Interrupted; this is the best iterate so far.",
     Status.STOPPED: "The callback asked to stop; this is the best iterate so far.",
 }

@@ -118,7 +118,7 @@ def test_expansion_finds_its_own_linearization():
 def test_scene_is_the_engines_unless_given():
     scene = Scene(b"model", (0,))
     assert make().scene() is None
-    assert make(drawn_by=scene).scene() is scene
+    assert make(drawing=scene).scene() is scene
     assert make(dynamics=FunctionDynamics(pendulum, 2, 1, 0.1, scene=scene)).scene() is scene
 
 

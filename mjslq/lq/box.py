@@ -72,7 +72,7 @@ class Box(NamedTuple):
     def contains(self, U: Array) -> bool:
         """Whether all of `U` (N, nu) is within the limits, but for rounding."""
         slack = ROUNDING * np.abs(U)
-        return bool((U >= self.lower - slack).all() and (U <= self.upper + slack).all())
+        return bool((self.lower - slack <= U).all() and (self.upper + slack >= U).all())
 
     def about(self, U: Array) -> Box:
         """Limits of the change from `U`."""
@@ -80,11 +80,11 @@ class Box(NamedTuple):
 
     def touches(self, U: Array) -> bool:
         """Whether a control of `U` (N, nu) is at a limit."""
-        return bool((U <= self.lower).any() or (U >= self.upper).any())
+        return bool((self.lower >= U).any() or (self.upper <= U).any())
 
     def pushed(self, U: Array, gradient: Array) -> Mask:
         """Controls at a limit which the descent direction -gradient would leave. Shape (N, nu)."""
-        return ((U <= self.lower) & (gradient > 0.0)) | ((U >= self.upper) & (gradient < 0.0))
+        return ((self.lower >= U) & (gradient > 0.0)) | ((self.upper <= U) & (gradient < 0.0))
 
     def projected(self, U: Array, gradient: Array) -> Array:
         """The gradient without its entries that push against a limit: zero at a minimum. Shape (N, nu)."""

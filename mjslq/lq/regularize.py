@@ -83,9 +83,7 @@ def solve_with(problem: LQProblem, box: Box, mu: float, by: By = "control") -> D
     return Damped(solve_in_box(problem, box, *shifts), mu, multiplier)
 
 
-def damped(
-    problem: LQProblem, box: Box, mu: float = 0.0, by: By = "control", ladder: Ladder = Ladder()  # noqa: B008 (frozen)
-) -> Damped:
+def damped(problem: LQProblem, box: Box, mu: float = 0.0, by: By = "control", ladder: Ladder = Ladder()) -> Damped:
     """Minimize with the multiplier `mu`, or the least one further up the ladder with which there is a minimizer.
 
     Raises NotPositiveDefinite when there is none with the largest, as with entries that are not finite.

@@ -65,7 +65,7 @@ def drag_particle(
         # explicit drag can be driven beyond its stability into spurious minima.
         options={"step": "open-loop"} | ({"tol_direction": 0.0} if engine == "function" else {}),
         describe=lambda trajectory: {"position": f"{trajectory.X[-1, 0]:.4f} m of {target:g} m"},
-        drawn_by=_mujoco(beta, mass, dt).scene() if engine == "function" else None,
+        drawing=_mujoco(beta, mass, dt).scene() if engine == "function" else None,
     )
 
 

@@ -74,7 +74,7 @@ def hopper(
         # Feedback keeps the instants of touch-down where they are while the controls change.
         options={"tol_direction": 1e-4, "step": "closed-loop"},
         describe=lambda trajectory: describe(trajectory, height),
-        drawn_by=scene,
+        drawing=scene,
     )
 
 

@@ -58,9 +58,13 @@ def van_der_pol(
             ),
             Control(positive("effort", effort)),
         ],
-        options={"tol_direction": 0.0, "tol_gradient": 2e-9},  # ||H_u|| = ||dJ/dU|| / sqrt(h) below 1e-8
+        options={
+            "tol_direction": 0.0,
+            "tol_gradient": 2e-9,
+            "step": "open-loop",
+        },  # ||H_u|| = ||dJ/dU|| / sqrt(h) below 1e-8
         describe=lambda trajectory: {"rest": f"({trajectory.X[-1, 0]:+.4f}, {trajectory.X[-1, 1]:+.4f}) at the end"},
-        drawn_by=_scene(dt),
+        drawing=_scene(dt),
     )
 
 

@@ -25,7 +25,7 @@ from mjslq.costs import Control, State
 from mjslq.dynamics.dynamics import Dynamics, fine_reference
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.dynamics.mujoco.engine import usable_cores
-from mjslq.lq.riccati import LQProblem
+from mjslq.lq.problem import LQProblem
 from mjslq.lq.riccati import solve as sweep
 from mjslq.optimize import solve
 from mjslq.problem import Problem

@@ -1,8 +1,8 @@
 """Levenberg-Marquardt: when the multiplier of a solve grows and when it shrinks (`lq.regularize` has what it does).
 
-    step at least 1/2       mu <- mu/3, zero below `SMALLEST`
-    step at most 1/4        mu <- 4 mu, where there is one
-    no step found           full steps with mu growing by 2, 4, 8, ... until one descends
+step at least 1/2       mu <- mu/3, zero below `SMALLEST`
+step at most 1/4        mu <- 4 mu, where there is one
+no step found           full steps with mu growing by 2, 4, 8, ... until one descends
 """
 
 from __future__ import annotations

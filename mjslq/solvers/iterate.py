@@ -2,8 +2,8 @@
 
     gaps    c_n = f_n(x_n, u_n) - x_{n+1}        (difference(x_{n+1}, f_n) on a manifold)
 
-A rollout has none. A guess of the states has: the sweep closes them to first order (multiple shooting), since they stand
-in the dynamics of the LQ problem, and a merit function weighs them against the cost (`merit`).
+A rollout has none. A guess of the states has: the sweep closes them to first order (multiple shooting), since they
+stand in the dynamics of the LQ problem, and a merit function weighs them against the cost (`merit`).
 """
 
 from __future__ import annotations
@@ -78,10 +78,10 @@ class Iterate:
     @classmethod
     def guess(cls, problem: Problem, X: Array, U: Array) -> Iterate:
         """States `X` (N + 1, nx) and controls `U` (N, nu) that need not obey the dynamics."""
-        ends, Y = problem.dynamics.step_each(X, U)
-        bad = ~np.isfinite(Y).all(axis=1)
-        bad[:-1] |= ~np.isfinite(ends).all(axis=1)
-        at = None if not bad.any() else int(np.argmax(bad))
+        ends, Y = problem.dynamics.advance(X, U)
+        fine = np.isfinite(Y).all(axis=1)
+        fine[:-1] &= np.isfinite(ends).all(axis=1)
+        at = None if fine.all() else int(np.argmin(fine))
         return cls(problem, Trajectory(X, U, Y, problem.dynamics.dt, diverged_at=at), ends)
 
     @cached_property

@@ -9,8 +9,8 @@ U_bar is the Gauss-Newton direction of the least-squares problem behind the quad
 
     grad J . U_bar = - sum_n [ x_bar'Q x_bar + u_bar'R u_bar ] - x_bar_N'Q_N x_bar_N < 0        (34)
 
-Beyond the paper: the sweep's feedback acts during the rollouts of step 3 (`steps`), short steps are followed by a search
-along the previous change (`acceleration`), and a multiplier comes in where the search fails (`damping`).
+Beyond the paper: the sweep's feedback acts during the rollouts of step 3 (`steps`), short steps are followed by a
+search along the previous change (`acceleration`), and a multiplier comes in where the search fails (`damping`).
 """
 
 from __future__ import annotations

@@ -49,10 +49,11 @@ class LineSearch:
         if here.gaps is not None:
             return close_gaps(here, direction, merit)
         slope = merit.slope(here, direction)
-        trial = Trial(
-            merit, here, slope, direction.expected, lambda alphas: candidates(here, direction, alphas, self.options.step),
-            at_once=here.problem.dynamics.rollouts_at_once,
-        )  # fmt: skip
+
+        def simulate(alphas: Sequence[float]) -> list[Iterate]:
+            return candidates(here, direction, alphas, self.options.step)
+
+        trial = Trial(merit, here, slope, direction.expected, simulate, at_once=here.problem.dynamics.threads)
         found = search(self.options.line_search, trial)
         if found is None:
             return Step(None, rollouts=trial.evaluations)
@@ -80,7 +81,7 @@ def candidates(here: Iterate, direction: Direction, alphas: Sequence[float], ste
 
 def simulated(here: Iterate, U: Array, feedback: Feedback | None = None) -> list[Iterate]:
     """Iterates by rollouts under each of the controls `U` (m, N, nu), from where `here` starts."""
-    x0s = np.broadcast_to(here.trajectory.X[0], (len(U), here.problem.dynamics.nx))
+    x0s = np.tile(here.trajectory.X[0], (len(U), 1))
     return [Iterate(here.problem, trajectory) for trajectory in here.problem.dynamics.rollouts(x0s, U, feedback)]
 
 

@@ -15,9 +15,9 @@ Notation
     ||v||         the norm of L2[0, T]: ||v||^2 = sum_n h_n v_n'v_n
     eta, gamma    (0.25, 0.75) and (0.25, 2), Fletcher's values, which the paper suggests
 
-Step 2 is `mjslq.lq.trust_region`, within the limits of the controls. Step 4 enlarges a ball that did not limit the step, too, as the paper does; that
-costs nothing, since only a ball that limits is ever felt. One iteration is one solution of step 2, whether its step
-is accepted or not.
+Step 2 is `mjslq.lq.trust_region`, within the limits of the controls. Step 4 enlarges a ball that did not limit the
+step, too, as the paper does; that costs nothing, since only a ball that limits is ever felt. One iteration is one
+solution of step 2, whether its step is accepted or not.
 
 Where the decrease to hope for drowns in the rounding of J, rho is noise: the step is then accepted if the gradient
 falls (the roundoff rule of `linesearch`).

@@ -1,0 +1,63 @@
+"""What watches a solve: the table on the screen, the callback, the log and the iterates kept."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TextIO
+
+from mjslq.compiling import CompileClock
+from mjslq.log import IterationLog
+from mjslq.trajectory import Trajectory
+
+
+@dataclass
+class Monitor:
+    """Keeps the log of a solve and tells of it."""
+
+    verbose: int = 0
+    callback: Callable[[IterationLog], object] | None = None
+    keep_iterates: bool = True
+    stream: TextIO = field(default_factory=lambda: sys.stdout)
+    compiling: CompileClock = field(default_factory=CompileClock)
+    log: list[IterationLog] = field(default_factory=list)
+    iterates: list[Trajectory] = field(default_factory=list)
+    started: float = field(default_factory=time.perf_counter)
+
+    def record(self, entry: IterationLog, trajectory: Trajectory) -> bool:
+        """Keep an entry, print it, tell the callback; True when the callback asks to stop."""
+        self.log.append(entry)
+        if self.keep_iterates:
+            self.iterates.append(trajectory)
+        if self.verbose:
+            if (len(self.log) - 1) % 20 == 0:
+                print(_HEADER, file=self.stream)
+            print(_line(entry), file=self.stream, flush=True)
+        return bool(self.callback is not None and self.callback(entry))
+
+    @property
+    def seconds(self) -> float:
+        """Wall time since the solve began, without that spent on compiling. [s]"""
+        return time.perf_counter() - self.started - self.compiling.seconds
+
+
+_TITLES = (
+    ("it", 4),
+    ("cost", 16),
+    ("|gradient|", 10),
+    ("|direction|", 11),
+    ("step", 8),
+    ("rollouts", 8),
+    ("time [s]", 8),
+)
+_HEADER = "  ".join(f"{title:>{width}}" for title, width in _TITLES)
+
+
+def _line(e: IterationLog) -> str:
+    taken = (
+        f"{e.alpha:.2g}" if e.outcome == "accepted" else {"rejected": "rejected", "failed": "none"}.get(e.outcome, "-")
+    )
+    norms = f"{e.gradient_norm:>10.2e}  {e.direction_norm:>11.2e}"
+    return f"{e.iteration:>4}  {e.cost:>16.9g}  {norms}  {taken:>8}  {e.evaluations or '-':>8}  {e.seconds:>8.3f}"

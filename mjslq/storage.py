@@ -1,0 +1,141 @@
+"""Results as files: NumPy's npz, written whole or not at all, read without pickle.
+
+header        JSON: the format's version, the status, the log, all that is no array
+arrays        gains, lower, upper; trajectory_X, ..., iterates_X, ... (stacked); violations and multipliers by name;
+the scene's model; where the state's quaternions are
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+from typing import Any
+
+import numpy as np
+
+from mjslq.files import atomic_write
+from mjslq.log import IterationLog
+from mjslq.manifold import StateSpace
+from mjslq.result import Result
+from mjslq.scene import Scene
+from mjslq.status import Status
+from mjslq.trajectory import Trajectory
+from mjslq.validation import Array
+
+FORMAT = 2
+"""Version of the file format; files of another version are refused."""
+PLAIN = (
+    "message", "cost", "iterations", "gradient_norm", "constraint_violation", "seconds", "compile_seconds", "problem",
+    "method", "options", "parameters", "names", "error",
+)  # fmt: skip
+"""Fields that JSON holds as they are."""
+_DAMAGED = (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile, zlib.error, NotImplementedError)
+"""What a foreign or damaged file makes the readers of zip, npy and JSON raise."""
+
+
+class _OtherFormat(ValueError):
+    """The file comes from another version."""
+
+
+def save(result: Result, path: str | os.PathLike[str]) -> None:
+    """Write `result` to `path`; see `Result.save`."""
+    arrays: dict[str, Any] = {"lower": result.lower, "upper": result.upper}
+    if result.gains is not None:
+        arrays["gains"] = result.gains
+    arrays |= _pack("trajectory", [result.trajectory])
+    if result.iterates:
+        arrays |= _pack("iterates", result.iterates)
+    for kind in ("violations", "multipliers"):
+        arrays |= {f"{kind}/{name}": array for name, array in getattr(result, kind).items()}
+    if result.scene is not None:
+        arrays["scene_model"] = np.frombuffer(result.scene.model, dtype=np.uint8)
+        arrays["scene_columns"] = np.array(result.scene.columns, dtype=np.int64)
+    if result.space is not None:
+        arrays |= {f"space_{field.name}": np.asarray(getattr(result.space, field.name)) for field in fields(StateSpace)}
+    header = {name: getattr(result, name) for name in PLAIN} | {
+        "format": FORMAT,
+        "status": result.status.value,
+        "log": [asdict(entry) for entry in result.log],
+        "scene_name": None if result.scene is None else result.scene.name,
+    }
+    with atomic_write(path) as stream:
+        np.savez_compressed(stream, header=np.array(json.dumps(header, default=_plain)), **arrays)
+
+
+def load(path: str | os.PathLike[str]) -> Result:
+    """Read what `save` wrote; see `mjslq.load`."""
+    name = os.fspath(path)
+    try:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as data:
+            header = json.loads(str(data["header"]))
+            version = header["format"]
+            arrays = {entry: data[entry] for entry in data.files}
+    except FileNotFoundError:
+        raise FileNotFoundError(f"there is no file {name}") from None
+    except _DAMAGED as error:
+        raise ValueError(f"{name} is not a result saved by mjslq ({' '.join(str(error).split())})") from None
+    if version != FORMAT:
+        raise ValueError(
+            f"{name} has format {version}, this version of mjslq reads format {FORMAT}; "
+            + ("upgrade mjslq" if version > FORMAT else "solve the problem again")
+        )
+    try:
+        return _result_of(header, arrays)
+    except KeyError as error:
+        raise ValueError(f"{name} is not a whole result of mjslq: {error} is missing") from None
+
+
+def _result_of(header: dict[str, Any], arrays: dict[str, Array]) -> Result:
+    scene, space = None, None
+    if "scene_model" in arrays:
+        columns = tuple(int(i) for i in arrays["scene_columns"])
+        scene = Scene(arrays["scene_model"].tobytes(), columns, header["scene_name"])
+    if "space_nx" in arrays:
+        parts = {field.name: arrays[f"space_{field.name}"] for field in fields(StateSpace)}
+        space = StateSpace(**{name: int(part) if part.ndim == 0 else part for name, part in parts.items()})
+    named: dict[str, dict[str, Array]] = {"violations": {}, "multipliers": {}}
+    for entry, array in arrays.items():
+        kind, slash, name = entry.partition("/")
+        if slash and kind in named:
+            named[kind][name] = array
+    return Result(
+        **{name: header[name] for name in PLAIN if name != "names"},
+        **named,
+        names={kind: tuple(entries) for kind, entries in header["names"].items()},
+        status=Status(header["status"]),
+        log=tuple(IterationLog(**entry) for entry in header["log"]),
+        trajectory=_unpack("trajectory", arrays)[0],
+        iterates=_unpack("iterates", arrays),
+        gains=arrays.get("gains"),
+        lower=arrays["lower"],
+        upper=arrays["upper"],
+        space=space,
+        scene=scene,
+    )
+
+
+_PARTS = ("X", "U", "Y", "dt")
+
+
+def _pack(name: str, trajectories: Sequence[Trajectory]) -> dict[str, Array]:
+    packed = {f"{name}_{part}": np.stack([getattr(t, part) for t in trajectories]) for part in _PARTS}
+    packed[f"{name}_diverged_at"] = np.array(
+        [-1 if t.diverged_at is None else t.diverged_at for t in trajectories], dtype=np.int64
+    )
+    return packed
+
+
+def _unpack(name: str, arrays: dict[str, Array]) -> tuple[Trajectory, ...]:
+    if f"{name}_X" not in arrays:
+        return ()
+    stacked = [arrays[f"{name}_{part}"] for part in (*_PARTS, "diverged_at")]
+    return tuple(Trajectory(x, u, y, dt, None if at < 0 else int(at)) for x, u, y, dt, at in zip(*stacked, strict=True))
+
+
+def _plain(value: Any) -> Any:
+    """What JSON does not know: numpy's numbers and arrays; anything else by its text."""
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else str(value)
