@@ -84,7 +84,7 @@ def test_law_with_limits_is_the_plain_one(case):
             clipped += at_limit.sum()
         again = dynamics.rollout(x0, ours.U)
         np.testing.assert_allclose(again.X, ours.X, rtol=0, atol=1e-9)
-        assert not ((ours.U < law.lower) | (ours.U > law.upper)).any()
+        assert not ((law.lower > ours.U) | (law.upper < ours.U)).any()
     assert 0.1 < clipped / U.size < 0.9
 
 
