@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mjslq import costs as costs
     from mjslq import problems as problems
-    from mjslq.dynamics.dynamics import DerivativeCheck as DerivativeCheck
+    from mjslq.dynamics.derivative_check import DerivativeCheck as DerivativeCheck
     from mjslq.dynamics.dynamics import Dynamics as Dynamics
     from mjslq.dynamics.dynamics import Linearization as Linearization
     from mjslq.dynamics.function import FunctionDynamics as FunctionDynamics
@@ -41,7 +41,7 @@ __version__ = "0.1.0"
 _HOME = {
     "costs": "mjslq.costs",
     "problems": "mjslq.problems",
-    "DerivativeCheck": "mjslq.dynamics.dynamics",
+    "DerivativeCheck": "mjslq.dynamics.derivative_check",
     "Dynamics": "mjslq.dynamics.dynamics",
     "FunctionDynamics": "mjslq.dynamics.function",
     "IterationLog": "mjslq.log",

@@ -146,7 +146,7 @@ def check(
     from rich.console import Console
     from rich.table import Table
 
-    from mjslq.dynamics.dynamics import TOLERANCE
+    from mjslq.dynamics.derivative_check import TOLERANCE
     from mjslq.validation import count
 
     dynamics, x0 = _dynamics_of(what)

@@ -12,11 +12,20 @@ def conjugate(q: Array) -> Array:
     return q * np.array([1.0, -1.0, -1.0, -1.0])
 
 
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Cross product of vectors; numpy's own takes several times as long. Shape (..., 3)."""
+    product: Array = a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
+    return product
+
+
 def product(p: Array, q: Array) -> Array:
     """Product of quaternions. Shape (..., 4)."""
     pw, pv, qw, qv = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
     scalar = pw * qw - (pv * qv).sum(axis=-1, keepdims=True)
-    return np.concatenate([scalar, pw * qv + qw * pv + np.cross(pv, qv)], axis=-1)
+    return np.concatenate([scalar, pw * qv + qw * pv + cross(pv, qv)], axis=-1)
 
 
 def log(q: Array) -> Array:
@@ -33,14 +42,47 @@ def exp(phi: Array) -> Array:
     return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * phi], axis=-1)
 
 
-def inverse_right_jacobian(phi: Array) -> Array:
-    """Differentiate log(q exp(w)) by w at zero, where log(q) = phi. Shape (..., 3) -> (..., 3, 3)."""
-    square = (phi * phi).sum(axis=-1)
-    angle = np.sqrt(square)
-    small = angle < 1e-3
-    half = np.where(small, 1.0, 0.5 * angle)
-    c = np.where(small, 1.0 / 12.0 + square / 720.0, (1.0 - half / np.tan(half)) / np.where(small, 1.0, square))
-    skew = np.zeros((*phi.shape, 3))
+def rotate(q: Array, v: Array) -> Array:
+    """Vectors turned by unit quaternions. Shapes (..., 4), (..., 3) -> (..., 3)."""
+    twice = 2.0 * cross(q[..., 1:], v)
+    turned: Array = v + q[..., :1] * twice + cross(q[..., 1:], twice)
+    return turned
+
+
+def skew(v: Array) -> Array:
+    """Matrix of the cross product with v. Shape (..., 3) -> (..., 3, 3)."""
+    matrix = np.zeros((*v.shape, 3))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        skew[..., j, i], skew[..., i, j] = phi[..., k], -phi[..., k]
-    return np.eye(3) + 0.5 * skew + c[..., None, None] * (skew @ skew)
+        matrix[..., j, i], matrix[..., i, j] = v[..., k], -v[..., k]
+    return matrix
+
+
+def inverse_right_jacobian(phi: Array) -> Array:
+    """Differentiate log(q exp(w)) by w at zero, where log(q) = phi: 1 + 1/2 [phi] + c [phi]^2, c as in the next one.
+
+    Shape (..., 3) -> (..., 3, 3).
+    """
+    matrix, square = skew(phi), (phi * phi).sum(axis=-1)[..., None, None]
+    twice = phi[..., :, None] * phi[..., None, :] - square * np.eye(3)  # [phi]^2
+    return np.eye(3) + 0.5 * matrix + cotangent_series(phi)[0][..., None, None] * twice
+
+
+_SERIES = np.array([1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000, 1 / 74724249600])
+"""Of c in powers of t^2: absolute Bernoulli numbers B_2, B_4, ... over (2 k)!."""
+
+
+def cotangent_series(phi: Array) -> tuple[Array, Array]:
+    """C = (1 - t/2 cot t/2) / t^2 and its derivative by t over t, with t = |phi|. Shape (..., k) -> (...), (...).
+
+    The formulas lose digits where t is small; there a series in t^2 stands in.
+    """
+    square = (phi * phi).sum(axis=-1)
+    small = square < 0.25
+    s = np.where(small, 1.0, square)
+    half = 0.5 * np.sqrt(s)
+    cot = half / np.tan(half)
+    c = np.where(small, np.polynomial.polynomial.polyval(square, _SERIES), (1.0 - cot) / s)
+    slopes = 2.0 * np.arange(1, len(_SERIES)) * _SERIES[1:]
+    # c' = -g'/t^2 - 2 (1 - g)/t^3 with g = h cot h, h = t/2, and g' = (cot h - h / sin^2 h) / 2
+    slope = ((half / np.sin(half)) ** 2 + cot - 2.0) / (s * s)
+    return c, np.where(small, np.polynomial.polynomial.polyval(square, slopes), slope)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjslq.dynamics.dynamics import compare_jacobians, fine_reference
+from mjslq.dynamics.derivative_check import compare_jacobians, fine_reference
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.dynamics.mujoco.inverse.readings.outputs import sensors
 from mjslq.dynamics.mujoco.inverse.table import columns as columns

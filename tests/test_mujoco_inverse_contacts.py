@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mjslq.dynamics.dynamics import Linearization, fine_reference
+from mjslq.dynamics.derivative_check import fine_reference
+from mjslq.dynamics.dynamics import Linearization
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array

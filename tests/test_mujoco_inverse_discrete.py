@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_mujoco_inverse import assert_exact, dynamics_of, some_trajectory
 
-from mjslq.dynamics.dynamics import compare_jacobians, fine_reference
+from mjslq.dynamics.derivative_check import compare_jacobians, fine_reference
 from mjslq.dynamics.mujoco import MujocoDynamics
 
 BALL = 'type="sphere" size=".06" pos="0 0 -.2"'

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from inverse_models import CONTINUOUS
 from test_mujoco_inverse import assert_exact, dynamics_of, some_trajectory
 
-from mjslq.dynamics.dynamics import compare_jacobians, fine_reference
+from mjslq.dynamics.derivative_check import compare_jacobians, fine_reference
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.dynamics.mujoco.inverse.cover import refusals
 from mjslq.dynamics.mujoco.inverse.forces.muscles import muscle_bias, muscle_gain, muscle_rate

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_mujoco_inverse import STAND, dynamics_of, random_tree, some_trajectory
 
-from mjslq.dynamics.dynamics import fine_reference
+from mjslq.dynamics.derivative_check import fine_reference
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.dynamics.mujoco.inverse.readings.outputs import TYPES, sensors
 from mjslq.dynamics.mujoco.inverse.table import columns

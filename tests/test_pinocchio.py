@@ -262,7 +262,7 @@ def test_files_that_are_none(tmp_path, urdf):
 
 def test_states_that_are_none():
     dynamics = solo()
-    with pytest.raises(ValueError, match="quaternion of length zero"):
+    with pytest.raises(ValueError, match="entries 3 to 6 of the state are a quaternion and must not be all zero"):
         dynamics.rollout(np.zeros(37), np.zeros((2, 12)))
     x0 = dynamics.initial_state
     x0[3:7] *= 3.0

@@ -9,7 +9,7 @@ Notation
 
 A state has nx entries and ndx tangent directions (ndx < nx with free or ball joints, whose quaternions
 live on a sphere). `integrate` walks from a state along a tangent direction, `difference` is its inverse:
-integrate(x, difference(x, y)) = y. Engines whose states are plain vectors inherit both from here.
+integrate(x, difference(x, y)) = y; both are those of the engine's `StateSpace`.
 
 The grain of the interface is the whole horizon: one call rolls out or linearizes all steps.
 """
@@ -17,14 +17,19 @@ The grain of the interface is the whole horizon: one call rolls out or linearize
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mjslq.dynamics.derivative_check import DerivativeCheck, compare_jacobians, fine_reference
+from mjslq.dynamics.records import Curvature as Curvature
+from mjslq.dynamics.records import Feedback as Feedback
+from mjslq.dynamics.records import Linearization as Linearization
+from mjslq.dynamics.records import Output as Output
+from mjslq.dynamics.records import curvature_of
+from mjslq.manifold import StateSpace
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array
 
@@ -36,97 +41,11 @@ DIFFERENCE = 1e-5
 """Step of the differences of Jacobians that make second derivatives."""
 
 
-class Linearization(NamedTuple):
-    """Jacobians of the step and of the outputs along a trajectory, in tangent directions."""
-
-    A: Array
-    """d x_{n+1} / d x_n. Shape (N, ndx, ndx)."""
-    B: Array
-    """d x_{n+1} / d u_n. Shape (N, ndx, nu)."""
-    C: Array
-    """d y_n / d x_n. Shape (N + 1, ny, ndx)."""
-    D: Array
-    """d y_n / d u_n; zero at the last knot. Shape (N + 1, ny, nu)."""
-
-
-class Curvature(NamedTuple):
-    """Second derivatives of steps and outputs, contracted with costates, in tangent directions."""
-
-    xx: Array
-    """Shape (N + 1, ndx, ndx); the last knot has outputs only."""
-    ux: Array
-    """Shape (N, nu, ndx)."""
-    uu: Array
-    """Shape (N, nu, nu)."""
-
-
-class Feedback(NamedTuple):
-    """The law u_n = clip(U_n - K_n difference(X_n, x_n), lower_n, upper_n), for given U_n."""
-
-    X: Array
-    """Reference states. Shape (N + 1, nx)."""
-    K: Array
-    """Gains. Shape (N, nu, ndx)."""
-    lower: Array
-    """Smallest controls; -inf where there is no limit. Shape (N, nu)."""
-    upper: Array
-    """Largest controls; inf where there is no limit. Shape (N, nu)."""
-
-    @classmethod
-    def unlimited(cls, X: Array, K: Array) -> Feedback:
-        """The law without limits."""
-        lower = np.full(K.shape[:2], -np.inf)
-        return cls(X, K, lower, -lower)
-
-    def contiguous(self) -> Feedback:
-        """The same with arrays as compiled code wants them; those that are so already are not copied."""
-        return Feedback(*(np.ascontiguousarray(array, dtype=np.float64) for array in self))
-
-
-class Output(NamedTuple):
-    """Where a named output stands in y."""
-
-    columns: slice
-    """Its entries."""
-    quaternion: bool = False
-    """Whether they are a unit quaternion."""
-
-
-TOLERANCE = 1e-3
-"""Relative error of a Jacobian from which on a knot counts as off."""
-
-
-@dataclass(frozen=True)
-class DerivativeCheck:
-    """How far an engine's Jacobians are from a fine reference, over the knots of a trajectory.
-
-    Where a contact opens or closes the step has a kink, and no reference is right on both its sides: a few knots far
-    off are a property of the motion. Derivatives are wrong where many knots are.
-    """
-
-    errors: dict[str, float]
-    """Largest error of A, B (and C, D), relative to the largest entry of the reference."""
-    worst: dict[str, tuple[int, int, int]]
-    """Where it occurs: (step, row, column)."""
-    typical: dict[str, float]
-    """Median over the knots of the largest error at each, relative likewise."""
-    share: dict[str, float]
-    """Share of the knots where it is above `TOLERANCE`."""
-
-    @property
-    def suspects(self) -> list[str]:
-        """Jacobians that are off at more than a tenth of the knots."""
-        return [name for name, share in self.share.items() if share > 0.1]
-
-    @property
-    def worst_error(self) -> float:
-        """The largest of the errors."""
-        return max(self.errors.values(), default=0.0)
-
-
 class Dynamics(ABC):
     """A discrete-time system; see the notation at the head of this file."""
 
+    space: StateSpace
+    """Where the state has plain numbers, and where rotations."""
     nx: int
     """Entries of the state."""
     ndx: int
@@ -286,27 +205,22 @@ class Dynamics(ABC):
 
     def difference(self, x: Array, y: Array) -> Array:
         """Tangent direction that leads from state `x` to state `y`. Shapes (..., nx) -> (..., ndx)."""
-        return np.asarray(y) - np.asarray(x)
+        return self.space.difference(x, y)
 
     def integrate(self, x: Array, dx: Array) -> Array:
         """State reached from `x` along the tangent direction `dx`. Shapes (..., nx), (..., ndx) -> (..., nx)."""
-        return np.asarray(x) + np.asarray(dx)
+        return self.space.integrate(x, dx)
 
     def difference_jacobian(self, x: Array, y: Array) -> Array | None:
         """Derivative of difference(x, y) by y, in tangent directions of y. Shape (..., ndx, ndx).
 
         None stands for the identity, which is what plain vectors have.
         """
-        return None
+        return self.space.difference_jacobian(x, y)
 
     def tangent_basis(self, x: Array) -> Array | None:
-        """Derivative of integrate(x, dx) by dx at zero. Shape (nx, ndx); None stands for the identity."""
-        if self.nx == self.ndx:
-            return None
-        eps = 1e-6
-        steps = eps * np.eye(self.ndx)
-        many = np.broadcast_to(x, (self.ndx, self.nx))
-        return ((self.integrate(many, steps) - self.integrate(many, -steps)) / (2.0 * eps)).T
+        """Derivative of integrate(x, dx) by dx at zero. Shape (..., nx, ndx); None stands for the identity."""
+        return self.space.tangent_basis(x)
 
     def scene(self) -> Scene | None:
         """What a viewer needs to draw a trajectory of this system; None when there is nothing to draw."""
@@ -328,8 +242,8 @@ class Dynamics(ABC):
         return np.broadcast_to(dt, (N,))
 
     def checked_start(self, x0: ArrayLike) -> Array:
-        """Return `x0` as a state (nx,) or raise ValueError."""
-        return as_array("x0", x0, (self.nx,))
+        """Return `x0` as a state (nx,), quaternions of unit length, or raise ValueError."""
+        return self.space.normalized(as_array("x0", x0, (self.nx,)))
 
     def checked_controls(self, U: ArrayLike) -> Array:
         """Return `U` as controls (N, nu) or raise ValueError."""
@@ -353,62 +267,3 @@ class Dynamics(ABC):
         N = reference.horizon
         K, k = as_array("K", K, (N, self.nu, self.ndx)), as_array("k", k, (N, self.nu))
         return K, k, reference.X[0] if x0 is None else self.checked_start(x0)
-
-
-def curvature_of(H: Array, ndx: int) -> Curvature:
-    """Blocks of the Hessians by (x, u) at every knot. Shape (N + 1, ndx + nu, ndx + nu)."""
-    blocks = H[:, :ndx, :ndx], H[:-1, ndx:, :ndx], H[:-1, ndx:, ndx:]
-    return Curvature(*(np.ascontiguousarray(block) for block in blocks))
-
-
-def compare_jacobians(given: Linearization, reference: Linearization) -> DerivativeCheck:
-    """Relative errors of each Jacobian: the largest and where, the usual, and how widespread."""
-    errors, worst, typical, share = {}, {}, {}, {}
-    for name, ours, fine in zip(Linearization._fields, given, reference, strict=True):
-        if fine.size == 0:
-            continue
-        error = np.nan_to_num(np.abs(ours - fine) / max(np.abs(fine).max(), 1e-300), nan=np.inf)
-        step, row, column = np.unravel_index(int(np.argmax(error)), error.shape)
-        by_knot = error.max(axis=(1, 2))
-        errors[name], typical[name] = float(error.max()), float(np.median(by_knot))
-        worst[name], share[name] = (int(step), int(row), int(column)), float((by_knot > TOLERANCE).mean())
-    return DerivativeCheck(errors, worst, typical, share)
-
-
-def fine_reference(dynamics: Dynamics, trajectory: Trajectory, eps: float = 1e-5) -> Linearization:
-    """Jacobians by five-point differences of single steps: slow, and independent of an engine's own; O(eps^4)."""
-    N, nu, ny = trajectory.horizon, dynamics.nu, dynamics.ny
-    A, B = np.empty((N, dynamics.ndx, dynamics.ndx)), np.empty((N, dynamics.ndx, nu))
-    C, D = np.zeros((N + 1, ny, dynamics.ndx)), np.zeros((N + 1, ny, nu))
-    X, U = trajectory.X, np.vstack([trajectory.U, np.zeros(nu)])  # outputs at the last knot are read with zero control
-
-    def step(n: int, x: Array, u: Array) -> list[Array]:
-        forward, output = dynamics.step(x, u, min(n, N - 1))
-        return [dynamics.difference(X[min(n + 1, N)], forward), output]
-
-    def vary_state(n: int, d: Array) -> list[Array]:
-        return step(n, dynamics.integrate(X[n], d), U[n])
-
-    def vary_control(n: int, d: Array) -> list[Array]:
-        return step(n, X[n], U[n] + d)
-
-    for n in range(N + 1):
-        by_x = _five_point(partial(vary_state, n), dynamics.ndx, eps)
-        C[n] = by_x[1]
-        if n < N:
-            A[n] = by_x[0]
-            B[n], D[n] = _five_point(partial(vary_control, n), nu, eps)
-    return Linearization(A, B, C, D)
-
-
-def _five_point(function: Callable[[Array], list[Array]], size: int, eps: float) -> list[Array]:
-    """Columns of the derivatives of the arrays that `function` returns, at zero."""
-    columns: list[list[Array]] = []
-    for i in range(size):
-        d = np.zeros(size)
-        d[i] = eps
-        near, far = zip(function(d), function(-d), strict=True), zip(function(2 * d), function(-2 * d), strict=True)
-        columns.append([(8.0 * (p - m) - (pp - mm)) / (12.0 * eps) for (p, m), (pp, mm) in zip(near, far, strict=True)])
-    if not columns:
-        return [part[:, None][:, :0] for part in function(np.zeros(0))]
-    return [np.stack(parts, axis=-1) for parts in zip(*columns, strict=True)]

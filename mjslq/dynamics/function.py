@@ -27,7 +27,9 @@ from numpy.typing import ArrayLike
 
 from mjslq.complex_step import refused_complex
 from mjslq.dynamics import function_kernels as kernels
-from mjslq.dynamics.dynamics import Curvature, Dynamics, Feedback, Linearization, curvature_of
+from mjslq.dynamics.dynamics import Curvature, Dynamics, Feedback, Linearization
+from mjslq.dynamics.records import curvature_of
+from mjslq.manifold import StateSpace
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array, choose, count
@@ -102,6 +104,7 @@ class FunctionDynamics(Dynamics):
         scene: Scene | None = None,
     ) -> None:
         self.nx = self.ndx = count("nx", nx)
+        self.space = StateSpace.plain(self.nx)
         self.nu = count("nu", nu)
         steps = as_array("dt", dt)
         if steps.ndim > 1 or (steps <= 0.0).any():

@@ -22,7 +22,8 @@ import numpy as np
 
 from mjslq import problems
 from mjslq.costs import Control, State
-from mjslq.dynamics.dynamics import Dynamics, fine_reference
+from mjslq.dynamics.derivative_check import fine_reference
+from mjslq.dynamics.dynamics import Dynamics
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.dynamics.mujoco.engine import usable_cores
 from mjslq.lq.problem import LQProblem

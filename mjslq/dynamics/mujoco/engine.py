@@ -24,10 +24,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mjslq.dynamics.dynamics import Dynamics, Feedback, Linearization, Output
-from mjslq.manifold import StateSpace
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array, choose, count, positive
@@ -75,6 +73,7 @@ class MujocoDynamics(Dynamics):
         from mjslq.dynamics.mujoco import names
         from mjslq.dynamics.mujoco.checks import refuse_unsupported
         from mjslq.dynamics.mujoco.inverse.cover import choose_jacobian
+        from mjslq.dynamics.mujoco.states import state_space
 
         refuse_unsupported(model)
         self.model = copy.copy(model)
@@ -94,7 +93,7 @@ class MujocoDynamics(Dynamics):
         self.control_limits = names.control_limits(self.model)
         self._threads = usable_cores() if threads is None else count("threads", threads)
         self._eps, self._centered = positive("eps", eps), bool(centered)
-        self._space = StateSpace.of_model(model)
+        self.space = state_space(model)
         self._lock = threading.Lock()
 
     @classmethod
@@ -174,7 +173,7 @@ class MujocoDynamics(Dynamics):
     def keyframe(self, name: str) -> Array:
         """Look up the state of a keyframe. Shape (nx,).  Raises ValueError, which lists the names there are."""
         i = self._keyframe_index(name)
-        return self._space.normalized(
+        return self.space.normalized(
             np.concatenate([self.model.key_qpos[i], self.model.key_qvel[i], self.model.key_act[i]])
         )
 
@@ -220,26 +219,6 @@ class MujocoDynamics(Dynamics):
             return super().linearize_steps(X, U, F)
         with self._lock:
             return self._inverse.linearize(X, U, F)
-
-    def difference(self, x: Array, y: Array) -> Array:
-        """Tangent direction that leads from state `x` to state `y`. Shapes (..., nx) -> (..., ndx)."""
-        return self._space.difference(x, y)
-
-    def integrate(self, x: Array, dx: Array) -> Array:
-        """State reached from `x` along the tangent direction `dx`. Shapes (..., nx), (..., ndx) -> (..., nx)."""
-        return self._space.integrate(x, dx)
-
-    def difference_jacobian(self, x: Array, y: Array) -> Array | None:
-        """Differentiate difference(x, y) by y, in tangent directions of y; None when it is the identity."""
-        return self._space.difference_jacobian(x, y)
-
-    def tangent_basis(self, x: Array) -> Array | None:
-        """Differentiate integrate(x, dx) by dx at zero; None when it is the identity. Shape (..., nx, ndx)."""
-        return self._space.tangent_basis(x)
-
-    def checked_start(self, x0: ArrayLike) -> Array:
-        """Return `x0` as a state (nx,) with unit quaternions, or raise ValueError."""
-        return self._space.normalized(super().checked_start(x0))
 
     def scene(self) -> Scene:
         """Return the compiled model, and where its pose is in x, for a viewer."""

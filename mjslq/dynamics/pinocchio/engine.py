@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike
 from mjslq.dynamics.dynamics import Dynamics, Feedback, Linearization, Output
 from mjslq.dynamics.pinocchio import models
 from mjslq.dynamics.pinocchio.outputs import Readings
+from mjslq.dynamics.pinocchio.states import state_space
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array, choose, positive
@@ -93,13 +94,13 @@ class PinocchioDynamics(Dynamics):
         self._actuated, self.control_names = models.actuated_dofs(self.model, actuated)
         self._readings = Readings(self.model, outputs)
         self.nx, self.ndx = self.model.nq + self.model.nv, 2 * self.model.nv
+        self.space = state_space(self.model)
         self.nu, self.ny = len(self._actuated), self._readings.ny
         self.control_limits = models.effort_limits(self.model, self._actuated)
         self.state_names = models.state_names(self.model)
         self.output_names = self._readings.names
         self.name = name or self.model.name or "model"
         """The robot's name, or its file's."""
-        self._plain = self.model.nq == self.model.nv
         self._drawn_by = scene
         self._lock = threading.Lock()
 
@@ -206,63 +207,6 @@ class PinocchioDynamics(Dynamics):
         self.check_trajectory(trajectory)
         with self._lock:
             return self._horizon.linearize(trajectory)
-
-    def difference(self, x: Array, y: Array) -> Array:
-        """Tangent direction that leads from state `x` to state `y`. Shapes (..., nx) -> (..., ndx)."""
-        if self._plain:
-            return super().difference(x, y)
-        nq, nv = self.model.nq, self.model.nv
-        x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
-        dx = np.empty((*x.shape[:-1], self.ndx))
-        dx[..., nv:] = y[..., nq:] - x[..., nq:]
-        for i in np.ndindex(x.shape[:-1]):
-            dx[i][:nv] = pin.difference(self.model, x[i][:nq].copy(), y[i][:nq].copy())
-        return dx
-
-    def integrate(self, x: Array, dx: Array) -> Array:
-        """State reached from `x` along the tangent direction `dx`. Shapes (..., nx), (..., ndx) -> (..., nx)."""
-        if self._plain:
-            return super().integrate(x, dx)
-        nq, nv = self.model.nq, self.model.nv
-        x, dx = np.asarray(x, dtype=np.float64), np.asarray(dx, dtype=np.float64)
-        many = np.broadcast_shapes(x.shape[:-1], dx.shape[:-1])
-        x, dx = np.broadcast_to(x, (*many, self.nx)), np.broadcast_to(dx, (*many, self.ndx))
-        y = np.empty(x.shape)
-        y[..., nq:] = x[..., nq:] + dx[..., nv:]
-        for i in np.ndindex(many):
-            y[i][:nq] = pin.integrate(self.model, x[i][:nq].copy(), dx[i][:nv].copy())
-        return y
-
-    def difference_jacobian(self, x: Array, y: Array) -> Array | None:
-        """Differentiate difference(x, y) by y, in tangent directions of y; None when it is the identity.
-
-        Shape (..., ndx, ndx).
-        """
-        if self._plain:
-            return None
-        nq, nv = self.model.nq, self.model.nv
-        x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
-        jacobian = np.zeros((*x.shape[:-1], self.ndx, self.ndx))
-        jacobian[..., np.arange(nv, self.ndx), np.arange(nv, self.ndx)] = 1.0
-        for i in np.ndindex(x.shape[:-1]):
-            jacobian[i][:nv, :nv] = pin.dDifference(
-                self.model, x[i][:nq].copy(), y[i][:nq].copy(), pin.ArgumentPosition.ARG1
-            )
-        return jacobian
-
-    def checked_start(self, x0: ArrayLike) -> Array:
-        """Return `x0` as a state (nx,) with unit quaternions, or raise ValueError."""
-        x = super().checked_start(x0)
-        nq = self.model.nq
-        if self._plain or pin.isNormalized(self.model, x[:nq], 1e-12):
-            return x
-        with np.errstate(all="ignore"):
-            q = pin.normalize(self.model, x[:nq].copy())
-        if not np.isfinite(q).all() or not pin.isNormalized(self.model, q, 1e-9):
-            raise ValueError(
-                "the state holds a quaternion of length zero; initial_state has one that stands for no turn"
-            )
-        return np.concatenate([q, x[nq:]])
 
     def scene(self) -> Scene | None:
         """Return the robot as MuJoCo reads it, and where its pose is in x; None where it cannot."""

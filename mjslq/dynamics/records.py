@@ -1,0 +1,71 @@
+"""What engines take and give beside trajectories: Jacobians, second derivatives, feedback laws, places of outputs."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mjslq.validation import Array
+
+
+class Linearization(NamedTuple):
+    """Jacobians of the step and of the outputs along a trajectory, in tangent directions."""
+
+    A: Array
+    """d x_{n+1} / d x_n. Shape (N, ndx, ndx)."""
+    B: Array
+    """d x_{n+1} / d u_n. Shape (N, ndx, nu)."""
+    C: Array
+    """d y_n / d x_n. Shape (N + 1, ny, ndx)."""
+    D: Array
+    """d y_n / d u_n; zero at the last knot. Shape (N + 1, ny, nu)."""
+
+
+class Curvature(NamedTuple):
+    """Second derivatives of steps and outputs, contracted with costates, in tangent directions."""
+
+    xx: Array
+    """Shape (N + 1, ndx, ndx); the last knot has outputs only."""
+    ux: Array
+    """Shape (N, nu, ndx)."""
+    uu: Array
+    """Shape (N, nu, nu)."""
+
+
+class Feedback(NamedTuple):
+    """The law u_n = clip(U_n - K_n difference(X_n, x_n), lower_n, upper_n), for given U_n."""
+
+    X: Array
+    """Reference states. Shape (N + 1, nx)."""
+    K: Array
+    """Gains. Shape (N, nu, ndx)."""
+    lower: Array
+    """Smallest controls; -inf where there is no limit. Shape (N, nu)."""
+    upper: Array
+    """Largest controls; inf where there is no limit. Shape (N, nu)."""
+
+    @classmethod
+    def unlimited(cls, X: Array, K: Array) -> Feedback:
+        """The law without limits."""
+        lower = np.full(K.shape[:2], -np.inf)
+        return cls(X, K, lower, -lower)
+
+    def contiguous(self) -> Feedback:
+        """The same with arrays as compiled code wants them; those that are so already are not copied."""
+        return Feedback(*(np.ascontiguousarray(array, dtype=np.float64) for array in self))
+
+
+class Output(NamedTuple):
+    """Where a named output stands in y."""
+
+    columns: slice
+    """Its entries."""
+    quaternion: bool = False
+    """Whether they are a unit quaternion."""
+
+
+def curvature_of(H: Array, ndx: int) -> Curvature:
+    """Blocks of the Hessians by (x, u) at every knot. Shape (N + 1, ndx + nu, ndx + nu)."""
+    blocks = H[:, :ndx, :ndx], H[:-1, ndx:, :ndx], H[:-1, ndx:, ndx:]
+    return Curvature(*(np.ascontiguousarray(block) for block in blocks))
