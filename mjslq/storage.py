@@ -2,7 +2,7 @@
 
 header        JSON: the format's version, the status, the log, all that is no array
 arrays        gains, lower, upper; trajectory_X, ..., iterates_X, ... (stacked); violations and multipliers by name;
-the scene's model; where the state's quaternions are
+the scene's model; where the state's rotations are
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ import os
 import zipfile
 import zlib
 from collections.abc import Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from mjslq.files import atomic_write
+from mjslq.lie_groups import MOTION, ROTATION, SLIDE, TURN, Group
 from mjslq.log import IterationLog
 from mjslq.manifold import StateSpace
 from mjslq.result import Result
@@ -37,8 +38,7 @@ _DAMAGED = (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFi
 """What a foreign or damaged file makes the readers of zip, npy and JSON raise."""
 
 
-class _OtherFormat(ValueError):
-    """The file comes from another version."""
+_GROUPS: dict[str, Group] = {type(group).__name__: group for group in (ROTATION, MOTION, TURN, SLIDE)}
 
 
 def save(result: Result, path: str | os.PathLike[str]) -> None:
@@ -55,7 +55,7 @@ def save(result: Result, path: str | os.PathLike[str]) -> None:
         arrays["scene_model"] = np.frombuffer(result.scene.model, dtype=np.uint8)
         arrays["scene_columns"] = np.array(result.scene.columns, dtype=np.int64)
     if result.space is not None:
-        arrays |= {f"space_{field.name}": np.asarray(getattr(result.space, field.name)) for field in fields(StateSpace)}
+        arrays |= _pack_space(result.space)
     header = {name: getattr(result, name) for name in PLAIN} | {
         "format": FORMAT,
         "status": result.status.value,
@@ -90,13 +90,10 @@ def load(path: str | os.PathLike[str]) -> Result:
 
 
 def _result_of(header: dict[str, Any], arrays: dict[str, Array]) -> Result:
-    scene, space = None, None
+    scene = None
     if "scene_model" in arrays:
         columns = tuple(int(i) for i in arrays["scene_columns"])
         scene = Scene(arrays["scene_model"].tobytes(), columns, header["scene_name"])
-    if "space_nx" in arrays:
-        parts = {field.name: arrays[f"space_{field.name}"] for field in fields(StateSpace)}
-        space = StateSpace(**{name: int(part) if part.ndim == 0 else part for name, part in parts.items()})
     named: dict[str, dict[str, Array]] = {"violations": {}, "multipliers": {}}
     for entry, array in arrays.items():
         kind, slash, name = entry.partition("/")
@@ -104,7 +101,8 @@ def _result_of(header: dict[str, Any], arrays: dict[str, Array]) -> Result:
             named[kind][name] = array
     return Result(
         **{name: header[name] for name in PLAIN if name != "names"},
-        **named,
+        violations=named["violations"],
+        multipliers=named["multipliers"],
         names={kind: tuple(entries) for kind, entries in header["names"].items()},
         status=Status(header["status"]),
         log=tuple(IterationLog(**entry) for entry in header["log"]),
@@ -113,7 +111,7 @@ def _result_of(header: dict[str, Any], arrays: dict[str, Array]) -> Result:
         gains=arrays.get("gains"),
         lower=arrays["lower"],
         upper=arrays["upper"],
-        space=space,
+        space=_unpack_space(arrays),
         scene=scene,
     )
 
@@ -134,6 +132,26 @@ def _unpack(name: str, arrays: dict[str, Array]) -> tuple[Trajectory, ...]:
         return ()
     stacked = [arrays[f"{name}_{part}"] for part in (*_PARTS, "diverged_at")]
     return tuple(Trajectory(x, u, y, dt, None if at < 0 else int(at)) for x, u, y, dt, at in zip(*stacked, strict=True))
+
+
+def _pack_space(space: StateSpace) -> dict[str, Array]:
+    packed: dict[str, Any] = {"space_size": np.array([space.nx, space.ndx])}
+    for part in space.parts:
+        name = type(part.group).__name__
+        packed |= {f"space_x/{name}": part.x, f"space_dx/{name}": part.dx}
+    return packed
+
+
+def _unpack_space(arrays: dict[str, Array]) -> StateSpace | None:
+    if "space_size" not in arrays:
+        return None
+    nx, ndx = (int(size) for size in arrays["space_size"])
+    elements: list[tuple[Group, Any, Any]] = []
+    for name, group in _GROUPS.items():
+        if f"space_x/{name}" in arrays:
+            rows = zip(arrays[f"space_x/{name}"].tolist(), arrays[f"space_dx/{name}"].tolist(), strict=True)
+            elements += [(group, x, dx) for x, dx in rows]
+    return StateSpace.of(nx, ndx, elements)
 
 
 def _plain(value: Any) -> Any:

@@ -50,6 +50,8 @@ class Dynamics(ABC):
     """Entries of the state."""
     ndx: int
     """Tangent directions of the state."""
+    nv: int
+    """Velocities: tangent directions nv to 2 nv, after as many positions'; 0 where the state is something else."""
     nu: int
     """Controls."""
     ny: int

@@ -114,6 +114,7 @@ class FunctionDynamics(Dynamics):
         self.control_limits = _limits(control_limits, self.nu)
         self.parameters = np.array(as_array("parameters", parameters, ("size",)))
         self._nv = self.nx // 2 if nv is None else count("nv", nv)
+        self.nv = self._nv if 2 * self._nv == self.nx else 0
         if self._nv > self.nx:
             raise ValueError(f"nv must be at most nx = {self.nx}, got {nv}")
         if callable(jacobian):

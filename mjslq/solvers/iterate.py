@@ -79,9 +79,10 @@ class Iterate:
     def guess(cls, problem: Problem, X: Array, U: Array) -> Iterate:
         """States `X` (N + 1, nx) and controls `U` (N, nu) that need not obey the dynamics."""
         ends, Y = problem.dynamics.advance(X, U)
-        fine = np.isfinite(Y).all(axis=1)
-        fine[:-1] &= np.isfinite(ends).all(axis=1)
-        at = None if fine.all() else int(np.argmin(fine))
+        sums = Y.sum(axis=1)  # not finite where an entry is not
+        sums[:-1] += ends.sum(axis=1)
+        bad = np.flatnonzero(~np.isfinite(sums))
+        at = int(bad[0]) if bad.size else None
         return cls(problem, Trajectory(X, U, Y, problem.dynamics.dt, diverged_at=at), ends)
 
     @cached_property

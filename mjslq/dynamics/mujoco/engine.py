@@ -80,7 +80,7 @@ class MujocoDynamics(Dynamics):
         """The compiled model, a copy of what was given. Not to be changed."""
         if timestep is not None:
             self.model.opt.timestep = positive("timestep", timestep)
-        self.nx, self.ndx = model.nq + model.nv + model.na, 2 * model.nv + model.na
+        self.nx, self.ndx, self.nv = model.nq + model.nv + model.na, 2 * model.nv + model.na, model.nv
         self.nu, self.ny = model.nu, model.nsensordata
         self.dt = float(self.model.opt.timestep)
         self.state_names = names.state_names(model)

@@ -93,7 +93,7 @@ class PinocchioDynamics(Dynamics):
         models.refuse_massless(self.model)
         self._actuated, self.control_names = models.actuated_dofs(self.model, actuated)
         self._readings = Readings(self.model, outputs)
-        self.nx, self.ndx = self.model.nq + self.model.nv, 2 * self.model.nv
+        self.nx, self.ndx, self.nv = self.model.nq + self.model.nv, 2 * self.model.nv, self.model.nv
         self.space = state_space(self.model)
         self.nu, self.ny = len(self._actuated), self._readings.ny
         self.control_limits = models.effort_limits(self.model, self._actuated)
