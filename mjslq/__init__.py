@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mjslq import costs as costs
     from mjslq import problems as problems
+    from mjslq import starts as starts
+    from mjslq.bounds import Bounds as Bounds
     from mjslq.dynamics.derivative_check import DerivativeCheck as DerivativeCheck
     from mjslq.dynamics.dynamics import Dynamics as Dynamics
     from mjslq.dynamics.dynamics import Linearization as Linearization
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from mjslq.log import IterationLog as IterationLog
     from mjslq.optimize import methods as methods
     from mjslq.optimize import solve as solve
+    from mjslq.policy import Policy as Policy
     from mjslq.problem import Problem as Problem
     from mjslq.result import Result as Result
     from mjslq.result import load as load
@@ -41,6 +44,8 @@ __version__ = "0.1.0"
 _HOME = {
     "costs": "mjslq.costs",
     "problems": "mjslq.problems",
+    "starts": "mjslq.starts",
+    "Bounds": "mjslq.bounds",
     "DerivativeCheck": "mjslq.dynamics.derivative_check",
     "Dynamics": "mjslq.dynamics.dynamics",
     "FunctionDynamics": "mjslq.dynamics.function",
@@ -48,6 +53,7 @@ _HOME = {
     "Linearization": "mjslq.dynamics.dynamics",
     "MujocoDynamics": "mjslq.dynamics.mujoco",
     "PinocchioDynamics": "mjslq.dynamics.pinocchio",
+    "Policy": "mjslq.policy",
     "Problem": "mjslq.problem",
     "Result": "mjslq.result",
     "Scene": "mjslq.scene",
@@ -61,6 +67,9 @@ _HOME = {
     "view": "mjslq.viewer",
 }
 
+_MODULES = ("costs", "problems", "starts")
+"""Names that are modules themselves."""
+
 __all__ = ["__version__", *_HOME]
 
 
@@ -68,7 +77,7 @@ def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'mjslq' has no attribute {name!r}; there are: {', '.join(sorted(_HOME))}")
     module = importlib.import_module(_HOME[name])
-    value = module if module.__name__ == f"mjslq.{name}" and name in ("costs", "problems") else getattr(module, name)
+    value = module if module.__name__ == f"mjslq.{name}" and name in _MODULES else getattr(module, name)
     globals()[name] = value
     return value
 

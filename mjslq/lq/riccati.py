@@ -102,10 +102,10 @@ def solve(
 
 def _spread(L: Array, held: Mask) -> float:
     """Largest pivot of all G over the least; pivots of held controls do not count."""
-    pivots = np.where(held, np.nan, L.diagonal(axis1=1, axis2=2)) if held.any() else L.diagonal(axis1=1, axis2=2)
-    if not pivots.size or np.isnan(pivots).all():
-        return 1.0
-    return float((np.nanmax(pivots) / np.nanmin(pivots)) ** 2)
+    pivots = L.diagonal(axis1=1, axis2=2)
+    if held.any():
+        pivots = pivots[~held]
+    return float((pivots.max() / pivots.min()) ** 2) if pivots.size else 1.0
 
 
 @njit(cache=True, nogil=True)
