@@ -182,6 +182,9 @@ class Residual(CostTerm):
     """Where it acts; see `mjslq.knots.When`."""
     jacobian: Callable[..., Any] | None = None
     """jacobian(x, u, t) -> (dr/dx (m, nx), dr/du (m, nu)); by complex step unless given."""
+    parameters: ArrayLike | None = field(default=None, kw_only=True)
+    """p, handed through to r(x, u, t, p) (and its derivatives) if given: for compiled functions whose constants change
+    between problems, which then need not be compiled again. Shape (size,)."""
     loss: LossName = field(default="quadratic", kw_only=True)
     """"quadratic", "smooth-abs", "huber" or "pseudo-huber"; see `mjslq.losses`."""
     width: float | None = field(default=None, kw_only=True)
@@ -191,7 +194,7 @@ class Residual(CostTerm):
 
     def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
         """See `CostTerm.bind`."""
-        function = UserFunction("r(x, u, t)", self.r, dynamics.nx, dynamics.nu, self.jacobian)
+        function = UserFunction("r", self.r, dynamics.nx, dynamics.nu, self.jacobian, self.parameters)
 
         def make(knots: Knots) -> residuals.BoundResidual:
             return residuals.bind_function(dynamics, function, knots, dynamics.steps(N))
@@ -216,12 +219,15 @@ class Function(CostTerm):
     """gradient(x, u, t) -> (dl/dx (nx,), dl/du (nu,)); by complex step unless given."""
     hessian: Callable[..., Any] | None = None
     """hessian(x, u, t) -> (nx + nu, nx + nu); by differences of the gradient unless given."""
+    parameters: ArrayLike | None = field(default=None, kw_only=True)
+    """p, handed through to l(x, u, t, p) (and its derivatives) if given: for compiled functions whose constants change
+    between problems, which then need not be compiled again. Shape (size,)."""
 
     def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
         """See `CostTerm.bind`."""
         steps = dynamics.steps(N)
         knots = knots_of(self.when, steps)
-        function = UserCost("l(x, u, t)", self.l, dynamics.nx, dynamics.nu, self.gradient, self.hessian)
+        function = UserCost("l", self.l, dynamics.nx, dynamics.nu, self.gradient, self.hessian, self.parameters)
         residual = residuals.bind_function(dynamics, function, knots, steps)
         label = f"Function {getattr(self.l, '__name__', type(self.l).__name__)!r}, {knots}"
         return (FunctionCost(residual, knots.scales(steps), label),)

@@ -2,7 +2,8 @@
 
 Notation
 --------
-    f(x, u, t)     the user's function, compiled by numba.njit: numbers in a row (m,), or one number (m = 1)
+    f(x, u, t)     the user's function, compiled by numba.njit: numbers in a row (m,), or one number (m = 1);
+                   f(x, u, t, p) where it takes parameters: p is the tuple of them, empty or of one array
     z_n = (x_n, u_n)   Z  Shape (k, nx + nu)
     e              imaginary step: df/dz_j = Im f(z + i e) / e, exact to rounding (Squire and Trapp 1998)
 
@@ -26,16 +27,16 @@ from mjslq.complex_step import DIFFERENCE, TINY
 Returns = Literal["row", "number"]
 
 
-def values(f, Z, nx, times, out):
+def values(f, Z, nx, times, p, out):
     """out_n = f(x_n, u_n, t_n)."""
     for n in range(Z.shape[0]):
-        value = f(Z[n, :nx], Z[n, nx:], times[n])
+        value = f(Z[n, :nx], Z[n, nx:], times[n], *p)
         if np.size(value) != out.shape[1]:
             raise ValueError("a function of (x, u, t) must return as many numbers at every knot as at the origin")
         out[n, :] = value
 
 
-def jacobians(f, Z, nx, times, J):
+def jacobians(f, Z, nx, times, p, J):
     """J_n = df/dz at knot n."""
     size = Z.shape[1]
     z = np.empty(size, np.complex128)
@@ -43,10 +44,10 @@ def jacobians(f, Z, nx, times, J):
         for j in range(size):
             z[:] = Z[n]
             z[j] += 1j * TINY
-            J[n, :, j] = f(z[:nx], z[nx:], times[n]).imag / TINY
+            J[n, :, j] = f(z[:nx], z[nx:], times[n], *p).imag / TINY
 
 
-def hessians(f, Z, nx, times, weights, H):
+def hessians(f, Z, nx, times, p, weights, H):
     """H_n = d2(w_n'f)/dz2 at knot n, by central differences of complex steps."""
     size, m = Z.shape[1], weights.shape[1]
     z, slope = np.empty(size, np.complex128), np.empty(m)
@@ -59,7 +60,7 @@ def hessians(f, Z, nx, times, weights, H):
                     z[:] = Z[n]
                     z[i] += sign * d
                     z[j] += 1j * TINY
-                    slope[:] = f(z[:nx], z[nx:], times[n]).imag / TINY
+                    slope[:] = f(z[:nx], z[nx:], times[n], *p).imag / TINY
                     for k in range(m):
                         H[n, j, i] += sign * weights[n, k] * slope[k] / (2.0 * d)
         for i in range(size):
@@ -69,18 +70,27 @@ def hessians(f, Z, nx, times, weights, H):
 
 _row, _rows, _cube = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _complex_row = types.complex128[::1]
-_REAL_ARGUMENTS = (_row, _row, types.float64)
-_COMPLEX_ARGUMENTS = (_complex_row, _complex_row, types.float64)
 _REAL = {"row": _row, "number": types.float64}
 _COMPLEX = {"row": _complex_row, "number": types.complex128}
 
 
+def _real_arguments(parameters: int) -> tuple[Any, ...]:
+    return (_row, _row, types.float64, *(_row,) * parameters)
+
+
+def _complex_arguments(parameters: int) -> tuple[Any, ...]:
+    return (_complex_row, _complex_row, types.float64, *(_row,) * parameters)
+
+
 @cache
-def compiled(kernel: Callable[..., Any], returns: Returns) -> Callable[..., Any]:
-    """The compiled form of one of the functions above, for functions that return a row or a number."""
-    common = (_rows, types.int64, _row)
-    real = types.FunctionType(_REAL[returns](*_REAL_ARGUMENTS))
-    imaginary = types.FunctionType(_COMPLEX[returns](*_COMPLEX_ARGUMENTS))
+def compiled(kernel: Callable[..., Any], returns: Returns, parameters: int) -> Callable[..., Any]:
+    """The compiled form of one of the functions above.
+
+    For user's functions that return a row or a number, and take no parameters or one array of them.
+    """
+    common = (_rows, types.int64, _row, types.Tuple((_row,) * parameters))
+    real = types.FunctionType(_REAL[returns](*_real_arguments(parameters)))
+    imaginary = types.FunctionType(_COMPLEX[returns](*_complex_arguments(parameters)))
     signature = {
         values: types.void(real, *common, _rows),
         jacobians: types.void(imaginary, *common, _cube),
@@ -89,21 +99,27 @@ def compiled(kernel: Callable[..., Any], returns: Returns) -> Callable[..., Any]
     return njit(signature, cache=True, nogil=True)(kernel)
 
 
-def returns_of(f: Any) -> Returns | None:
-    """What a function compiled by numba returns for real x and u; None for anything that the kernels do not take."""
-    return _returns(f, _REAL_ARGUMENTS, _REAL) if isinstance(f, Dispatcher) else None
+def returns_of(f: Any, parameters: int) -> Returns | None:
+    """What a function compiled by numba returns for real x and u; None for anything that the kernels do not take.
+
+    Raises numba's error where it cannot be compiled.
+    """
+    return _returns(f, _real_arguments(parameters), _REAL) if isinstance(f, Dispatcher) else None
 
 
-def takes_complex(f: Any, returns: Returns) -> bool:
+def takes_complex(f: Any, returns: Returns, parameters: int) -> bool:
     """Whether a compiled function returns complex numbers, in the same form, for complex x and u."""
-    return _returns(f, _COMPLEX_ARGUMENTS, _COMPLEX) == returns
+    try:
+        return _returns(f, _complex_arguments(parameters), _COMPLEX) == returns
+    except NumbaError:
+        return False
 
 
 def _returns(f: Any, arguments: tuple[Any, ...], kinds: dict[str, Any]) -> Returns | None:
     try:
         f.compile(arguments)
         found = f.overloads[arguments].signature.return_type
-    except (NumbaError, RuntimeError, KeyError):  # of other types, or of a fixed signature
+    except (RuntimeError, KeyError):  # compiled beforehand, for other types
         return None
     if found == kinds["row"]:
         return "row"
