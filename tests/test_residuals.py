@@ -64,7 +64,7 @@ def engines(tmp_path_factory):
         return np.stack([x[2], x[3], u[0] - np.sin(x[0]) * x[1], u[1] - x[3]])
 
     def outputs(x, u, t):
-        return np.stack([np.sin(x[0]) + t, x[1] * x[2], x[3] * u[1]])
+        return np.stack([np.sin(x[0]), x[1] * x[2], x[3] * u[1]])
 
     names = ("point[0]", "point[1]", "point[2]")
     return {
@@ -198,7 +198,7 @@ def blocks(expansion, n, ndx, nu):
 
 
 @pytest.mark.parametrize("loss", LOSSES)
-@pytest.mark.parametrize("engine, kind, when", kinds_and_whens())
+@pytest.mark.parametrize("engine, kind, when", list(kinds_and_whens()))
 def test_cost_gradient_and_gauss_newton_hessian(engines, engine, kind, when, loss):
     case = Case(engines[engine], kind, loss, when)
     ndx, nu, acting = case.engine.ndx, case.engine.nu, dict(WHENS[when])
@@ -214,7 +214,8 @@ def test_cost_gradient_and_gauss_newton_hessian(engines, engine, kind, when, los
         reference = acting[n] * case.differences(lambda d, n=n: case.value(n, d), n)
         np.testing.assert_allclose(gn, reference, rtol=1e-7, atol=1e-7 * np.abs(reference).max())
         reference = acting[n] * case.gauss_newton(n)
-        np.testing.assert_allclose(Hn, reference, rtol=0, atol=1e-7 * np.abs(reference).max())
+        floor = 1e-13 * np.abs(case.W).max()  # huber's curvature along one number is zero beyond the width
+        np.testing.assert_allclose(Hn, reference, rtol=0, atol=1e-7 * np.abs(reference).max() + floor)
 
 
 def whole(case, X, U):
@@ -252,4 +253,5 @@ def test_completed_hessian_is_the_derivative_of_the_gradient(engines, engine, ki
     derivative = 0.5 * (derivative + derivative.swapaxes(1, 2))
     for n in range(N + 1):
         ours = blocks(here, n, ndx, nu)[0]
-        np.testing.assert_allclose(ours, derivative[n], rtol=0, atol=2e-6 * np.abs(derivative[n]).max())
+        floor = 1e-13 * np.abs(case.W).max()
+        np.testing.assert_allclose(ours, derivative[n], rtol=0, atol=2e-6 * np.abs(derivative[n]).max() + floor)
