@@ -19,6 +19,8 @@ from numpy.exceptions import ComplexWarning
 from mjslq.validation import Array
 
 TINY = 1e-40
+DIFFERENCE = 6e-6
+"""Relative step of the central differences of first derivatives that make second ones."""
 
 
 @contextmanager

@@ -2,36 +2,38 @@
 
 Every term comes in two steps. What the user writes (`Tracking`, `State`, `Control`, `Sensor`, `Residual`,
 `Function`) is a small frozen record. `bind` fits it to a system and a horizon, where sizes are checked and weights are
-spread over the knots; the bound term (`terms.py`) then evaluates and expands over the whole horizon at once.
+spread over the knots: a residual (`mjslq.residuals`) with a loss (`mjslq.losses`), which evaluates and expands over the
+whole horizon at once (`mjslq.bound_costs`).
 
 Notation
 --------
-    J = sum_n s_n l_n(x_n, u_n)      s_n = h_n for running terms, which are integrals; 1 at the terminal knot
-    q_n, r_n                          gradient of the stage cost by state (tangent directions) and control
-    Q_n, R_n, M_n                     its second derivatives xx, uu, ux
+    J = sum_n s_n l_n(x_n, u_n)      s_n = h_n, the step's length, for running terms, which are integrals over time;
+                                      1 for terminal and initial terms and at single knots, which are values
+    r(x, u, t) with weight W          l = 1/2 r'W r, or another loss of r's length: see `mjslq.losses`
 
-    r(x, u) with weight W:  l = 1/2 r'W r,  q = r_x'W r,  Q = r_x'W r_x  (Gauss-Newton: second derivatives of r
-    are left out; with Sideris and Bobrow's quadratic costs (3)-(4) nothing is left out)
+`when` names the knots at which a term acts: "running", "terminal", "always" (both), "initial", or knots by index (one,
+a slice, a list; from the end if negative) or by time [s]; see `mjslq.knots`.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mjslq import residuals
+from mjslq.bound_costs import BoundTerm as BoundTerm
+from mjslq.bound_costs import FunctionCost, ResidualCost
 from mjslq.dynamics.dynamics import Dynamics
-from mjslq.terms import BoundTerm as BoundTerm
-from mjslq.terms import ControlTerm, FunctionTerm, ResidualTerm, SensorTerm, StateTerm
-from mjslq.terms import Expansion as Expansion
-from mjslq.validation import Array, as_array, choose, per_step_matrices, per_step_vectors
-
-When = Literal["running", "terminal", "always"]
-_WHEN = ("running", "terminal", "always")
+from mjslq.knots import Knots, When, knots_of
+from mjslq.losses import LossName, bind_loss, check_loss
+from mjslq.quadratic import Expansion as Expansion
+from mjslq.user_function import UserCost, UserFunction
+from mjslq.validation import Array, per_step_matrices
 
 
 class CostTerm(ABC):
@@ -68,49 +70,73 @@ class Tracking(CostTerm):
         Q = per_step_matrices("Q", self.Q, N, dynamics.ndx, definite=False)
         Q_final = per_step_matrices("Q_final", self.Q_final, 1, dynamics.ndx, definite=False)
         R = per_step_matrices("R", self.R, N, dynamics.nu, definite=True)
-        x_target = _state_targets("x_target", self.x_target, dynamics, N)
-        u_target = per_step_vectors("u_target", 0.0 if self.u_target is None else self.u_target, N, dynamics.nu)
-        ones = np.ones(N + 1)
-        return StateTerm(dynamics, ones, np.concatenate([Q, Q_final]), x_target), ControlTerm(ones[:N], R, u_target)
+        running, terminal = (knots_of(when, dynamics.steps(N)) for when in ("running", "terminal"))
+        u_target = 0.0 if self.u_target is None else self.u_target
+        path, end = (residuals.bind_state(dynamics, self.x_target, at, "x_target") for at in (running, terminal))
+        controls = residuals.bind_control(dynamics, u_target, running, "u_target")
+        return (
+            *_plain_sum(path, Q, "Tracking, states"),
+            *_plain_sum(end, Q_final, "Tracking, final state"),
+            *_plain_sum(controls, R, "Tracking, controls"),
+        )
 
 
 @dataclass(frozen=True)
 class State(CostTerm):
-    """1/2 weight |x - target|^2, an integral over time, or at the end."""
+    """1/2 weight |x - target|^2, or another loss of x - target."""
 
     weight: ArrayLike
     """A number, a diagonal or a matrix, positive semidefinite. Shape () | (ndx,) | (ndx, ndx)."""
     target: ArrayLike | None = None
-    """One state, or one a knot; zero unless given. Shape (nx,) | (N + 1, nx)."""
+    """One state, or one a knot, or one for each of the knots that `when` lists; zero unless given.
+    Shape (nx,) | (N + 1, nx) | (k, nx)."""
     when: When = "running"
-    """"running", "terminal" or "always" (both)."""
+    """Where it acts; see `mjslq.knots.When`."""
+    loss: LossName = field(default="quadratic", kw_only=True)
+    """"quadratic", "smooth-abs", "huber" or "pseudo-huber"; see `mjslq.losses`."""
+    width: float | None = field(default=None, kw_only=True)
+    """Width of the other losses, in the residual's unit; 0.1 unless given."""
+    terminal_weight: ArrayLike | None = field(default=None, kw_only=True)
+    """With when="always": the weight of the terminal value; `weight` unless given. Shape as `weight`."""
 
     def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
         """See `CostTerm.bind`."""
-        weight = per_step_matrices("weight", self.weight, 1, dynamics.ndx, definite=False)
-        target = _state_targets("target", self.target, dynamics, N)
-        return (StateTerm(dynamics, _scales(self.when, dynamics, N), weight, target),)
+
+        def make(knots: Knots) -> residuals.BoundResidual:
+            return residuals.bind_state(dynamics, self.target, knots)
+
+        return _bind("State", self, dynamics.steps(N), make, self.terminal_weight)
 
 
 @dataclass(frozen=True)
 class Control(CostTerm):
-    """1/2 weight |u - target|^2, an integral over time."""
+    """1/2 weight |u - target|^2, or another loss of u - target; an integral over time."""
 
     weight: ArrayLike
-    """A number, a diagonal or a matrix, positive definite. Shape () | (nu,) | (nu, nu)."""
+    """A number, a diagonal or a matrix, positive semidefinite; with the other terms of a problem, all controls have to
+    cost something. Shape () | (nu,) | (nu, nu)."""
     target: ArrayLike = 0.0
-    """One control, or one a step. Shape () | (nu,) | (N, nu)."""
+    """One control, or one a step, or one for each of the knots that `when` lists. Shape () | (nu,) | (N, nu) | (k, nu).
+    """
+    when: When = "running"
+    """Where it acts: "running", "initial", or some of the knots 0 ... N-1; see `mjslq.knots.When`."""
+    loss: LossName = field(default="quadratic", kw_only=True)
+    """"quadratic", "smooth-abs", "huber" or "pseudo-huber"; see `mjslq.losses`."""
+    width: float | None = field(default=None, kw_only=True)
+    """Width of the other losses, in the residual's unit; 0.1 unless given."""
 
     def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
         """See `CostTerm.bind`."""
-        weight = per_step_matrices("weight", self.weight, 1, dynamics.nu, definite=True)
-        target = per_step_vectors("target", self.target, N, dynamics.nu)
-        return (ControlTerm(dynamics.steps(N), weight, target),)
+
+        def make(knots: Knots) -> residuals.BoundResidual:
+            return residuals.bind_control(dynamics, self.target, knots)
+
+        return _bind("Control", self, dynamics.steps(N), make)
 
 
 @dataclass(frozen=True)
 class Sensor(CostTerm):
-    """1/2 weight |reading - target|^2 on an output of the engine: a MuJoCo sensor, or a frame.
+    """1/2 weight |reading - target|^2, or another loss, of an output of the engine: a MuJoCo sensor, or a frame.
 
     Readings that are unit quaternions are compared by the rotation vector [rad] between them and the target.
     """
@@ -118,99 +144,126 @@ class Sensor(CostTerm):
     name: str
     """The sensor's name."""
     target: ArrayLike
-    """One reading, or one a knot. Shape () | (m,) | (N + 1, m)."""
+    """One reading, or one a knot, or one for each of the knots that `when` lists.
+    Shape () | (m,) | (N + 1, m) | (k, m)."""
     weight: ArrayLike = 1.0
     """A number, a diagonal or a matrix, positive semidefinite. Shape () | (m,) | (m, m); m = 3 for quaternions."""
     when: When = "running"
-    """"running", "terminal" or "always" (both)."""
+    """Where it acts; see `mjslq.knots.When`. At the terminal knot readings are taken with zero control."""
+    loss: LossName = "quadratic"
+    """"quadratic", "smooth-abs", "huber" or "pseudo-huber"; see `mjslq.losses`."""
+    width: float | None = None
+    """Width of the other losses, in the residual's unit; 0.1 unless given."""
+    terminal_weight: ArrayLike | None = field(default=None, kw_only=True)
+    """With when="always": the weight of the terminal value; `weight` unless given. Shape as `weight`."""
 
     def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
         """See `CostTerm.bind`."""
-        output = dynamics.outputs[choose("sensor", self.name, dynamics.outputs)]
-        size = output.columns.stop - output.columns.start
-        target = per_step_vectors("target", self.target, N + 1, size)
-        if output.quaternion:
-            length = np.linalg.norm(target, axis=1, keepdims=True)
-            if (length < 1e-9).any():
-                raise ValueError(f"target of the orientation {self.name!r} must be a quaternion, not zeros")
-            target, size = target / length, 3
-        weight = per_step_matrices("weight", self.weight, 1, size, definite=False)
-        return (SensorTerm(output.columns, output.quaternion, _scales(self.when, dynamics, N), weight, target),)
+
+        def make(knots: Knots) -> residuals.BoundResidual:
+            return residuals.bind_output(dynamics, self.name, self.target, knots)
+
+        return _bind(f"Sensor {self.name!r}", self, dynamics.steps(N), make, self.terminal_weight)
 
 
 @dataclass(frozen=True)
 class Residual(CostTerm):
-    """1/2 r'W r for any smooth residual r(x, u, t); expanded by Gauss-Newton."""
+    """1/2 r'W r for any smooth residual r(x, u, t), or another loss of it; expanded by Gauss-Newton.
+
+    Plain Python is called knot by knot. A function compiled by `numba.njit`, which must return a new float64 array or a
+    number, complex for complex x and u, runs over the horizon without a Python call per knot.
+    """
 
     r: Callable[..., Any]
     """r(x, u, t) -> (m,); at the terminal knot u is zero. Analytic in x and u unless `jacobian` is given."""
     weight: ArrayLike = 1.0
     """W: a number, a diagonal or a matrix, positive semidefinite. Shape () | (m,) | (m, m)."""
     when: When = "running"
-    """"running", "terminal" or "always" (both)."""
+    """Where it acts; see `mjslq.knots.When`."""
     jacobian: Callable[..., Any] | None = None
     """jacobian(x, u, t) -> (dr/dx (m, nx), dr/du (m, nu)); by complex step unless given."""
+    parameters: ArrayLike | None = field(default=None, kw_only=True)
+    """p, handed through to r(x, u, t, p) (and its derivatives) if given: for compiled functions whose constants change
+    between problems, which then need not be compiled again. Shape (size,)."""
+    loss: LossName = field(default="quadratic", kw_only=True)
+    """"quadratic", "smooth-abs", "huber" or "pseudo-huber"; see `mjslq.losses`."""
+    width: float | None = field(default=None, kw_only=True)
+    """Width of the other losses, in the residual's unit; 0.1 unless given."""
+    terminal_weight: ArrayLike | None = field(default=None, kw_only=True)
+    """With when="always": the weight of the terminal value; `weight` unless given. Shape as `weight`."""
 
     def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
         """See `CostTerm.bind`."""
-        scales = _scales(self.when, dynamics, N)
-        value = _at_origin("r(x, u, t)", self.r, dynamics)
-        if value.ndim > 1:
-            raise ValueError(f"r(x, u, t) must return a number or numbers in a row (m,), got shape {value.shape}")
-        weight = per_step_matrices("weight", self.weight, 1, value.size, definite=False)[0]
-        return (ResidualTerm(dynamics, self.r, self.jacobian, weight, scales),)
+        function = UserFunction("r", self.r, dynamics.nx, dynamics.nu, self.jacobian, self.parameters)
+
+        def make(knots: Knots) -> residuals.BoundResidual:
+            return residuals.bind_function(dynamics, function, knots, dynamics.steps(N))
+
+        label = f"Residual {getattr(self.r, '__name__', type(self.r).__name__)!r}"
+        return _bind(label, self, dynamics.steps(N), make, self.terminal_weight)
 
 
 @dataclass(frozen=True)
 class Function(CostTerm):
-    """Any smooth cost l(x, u, t); where its Hessian is indefinite, the part below zero is left out of the model."""
+    """Any smooth cost l(x, u, t); where its Hessian is indefinite, the part below zero is left out of the model.
+
+    Plain Python is called knot by knot; a function compiled by `numba.njit`, which must return a number, complex for
+    complex x and u, is not.
+    """
 
     l: Callable[..., Any]  # noqa: E741  (the field's own name)
     """l(x, u, t) -> number; at the terminal knot u is zero. Analytic in x and u unless both derivatives are given."""
     when: When = "running"
-    """"running", "terminal" or "always" (both)."""
+    """Where it acts; see `mjslq.knots.When`."""
     gradient: Callable[..., Any] | None = None
     """gradient(x, u, t) -> (dl/dx (nx,), dl/du (nu,)); by complex step unless given."""
     hessian: Callable[..., Any] | None = None
     """hessian(x, u, t) -> (nx + nu, nx + nu); by differences of the gradient unless given."""
+    parameters: ArrayLike | None = field(default=None, kw_only=True)
+    """p, handed through to l(x, u, t, p) (and its derivatives) if given: for compiled functions whose constants change
+    between problems, which then need not be compiled again. Shape (size,)."""
 
     def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
         """See `CostTerm.bind`."""
-        scales = _scales(self.when, dynamics, N)
-        value = _at_origin("l(x, u, t)", self.l, dynamics)
-        if value.size != 1:
-            raise ValueError(f"l(x, u, t) must return a number, got shape {value.shape}")
-        return (FunctionTerm(dynamics, self.l, self.gradient, self.hessian, scales),)
+        steps = dynamics.steps(N)
+        knots = knots_of(self.when, steps)
+        function = UserCost("l", self.l, dynamics.nx, dynamics.nu, self.gradient, self.hessian, self.parameters)
+        residual = residuals.bind_function(dynamics, function, knots, steps)
+        label = f"Function {getattr(self.l, '__name__', type(self.l).__name__)!r}, {knots}"
+        return (FunctionCost(residual, knots.scales(steps), label),)
 
 
-def _at_origin(name: str, function: Callable[..., Any], dynamics: Dynamics) -> Array:
-    """What a user's function returns at the origin, where it need not be defined but has its shape."""
-    try:
-        with np.errstate(all="ignore"):
-            return np.asarray(function(np.zeros(dynamics.nx), np.zeros(dynamics.nu), 0.0))
-    except (IndexError, ValueError, TypeError) as error:
-        raise ValueError(f"{name} fails for x of shape ({dynamics.nx},): {error}") from None
+def _bind(
+    kind: str,
+    term: State | Control | Sensor | Residual,
+    steps: Array,
+    make: Callable[[Knots], residuals.BoundResidual],
+    terminal_weight: ArrayLike | None = None,
+) -> tuple[BoundTerm, ...]:
+    """A loss of a residual at the knots where the term acts; two, where the terminal knot has a weight of its own."""
+    check_loss(term.loss, term.width)
+    parts = [("weight", term.weight, knots_of(term.when, steps))]
+    if terminal_weight is not None:
+        if term.when != "always":
+            raise ValueError(
+                f"terminal_weight is the weight of the terminal value with when='always', but when is {term.when!r}"
+            )
+        parts[0] = ("weight", term.weight, knots_of("running", steps))
+        parts.append(("terminal_weight", terminal_weight, knots_of("terminal", steps)))
+    bound = []
+    for name, weight, knots in parts:
+        residual = make(knots)
+        W = per_step_matrices(name, weight, 1, residual.size, definite=False)
+        if W.any():
+            loss = bind_loss(term.loss, term.width, W, knots.scales(steps))
+            bound.append(ResidualCost(residual, loss, f"{kind}, {knots}"))
+    return tuple(bound)
 
 
-def _scales(when: str, dynamics: Dynamics, N: int) -> Array:
-    """s_n: step lengths for running terms, 1 at the terminal knot, 0 where the term does not act. Shape (N + 1,)."""
-    choose("when", when, _WHEN)
-    scales = np.zeros(N + 1)
-    if when in ("running", "always"):
-        scales[:N] = dynamics.steps(N)
-    if when in ("terminal", "always"):
-        scales[N] = 1.0
-    return scales
-
-
-def _state_targets(name: str, target: ArrayLike | None, dynamics: Dynamics, N: int) -> Array:
-    if target is None:
-        if dynamics.nx != dynamics.ndx:
-            raise ValueError(f"{name} must be given: a state with quaternions has no zero to default to")
-        target = np.zeros(dynamics.nx)
-    array = as_array(name, target)
-    if array.shape not in ((dynamics.nx,), (N + 1, dynamics.nx)):
-        raise ValueError(
-            f"{name} must be a state ({dynamics.nx},) or one a knot ({N + 1}, {dynamics.nx}), got shape {array.shape}"
-        )
-    return np.array(np.broadcast_to(array, (N + 1, dynamics.nx)), order="C")
+def _plain_sum(residual: residuals.BoundResidual, W: Array, label: str) -> tuple[BoundTerm, ...]:
+    """1/2 r'W r summed over the knots: nothing where W is zero."""
+    if not W.any():
+        return ()
+    if (W[0] == W).all():
+        W = W[:1]
+    return (ResidualCost(residual, bind_loss("quadratic", None, W, np.ones(len(residual.knots))), label),)

@@ -1,19 +1,45 @@
-"""Quadratic forms of residuals over a horizon: scale_n/2 d_n'W_n d_n, with W_n often the same matrix at all knots.
+"""Second-order expansions over a horizon, and what residuals add to them.
 
 Notation
 --------
-    d  (k, m)             residuals at k knots
-    W  (k, m, m)          symmetric weights, one a knot; or (1, m, m), the same at all of them
-    s  (k,)               scales
-    J, K                  (k, m, .) derivatives of residuals, with many zeros in the case of states on a manifold
+    q_n, r_n           gradient of the stage cost by state (tangent directions) and control
+    Q_n, R_n, M_n      its second derivatives xx, uu, ux
+    J, K  (k, m, .)    derivatives of residuals at k knots, with many zeros in the case of states on a manifold
+    W     (k, m, m)    symmetric weights, one a knot; or (1, m, m), the same at all of them
+    s     (k,)         scales
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from mjslq.validation import Array
+
+
+class Expansion(NamedTuple):
+    """Second-order expansion of all stage costs about a trajectory, in tangent directions."""
+
+    Q: Array
+    """Shape (N + 1, ndx, ndx)."""
+    R: Array
+    """Shape (N, nu, nu)."""
+    M: Array
+    """Shape (N, nu, ndx)."""
+    q: Array
+    """Shape (N + 1, ndx)."""
+    r: Array
+    """Shape (N, nu)."""
+
+    @staticmethod
+    def zeros(N: int, ndx: int, nu: int) -> Expansion:
+        """An expansion to add to."""
+        return Expansion(
+            np.zeros((N + 1, ndx, ndx)), np.zeros((N, nu, nu)), np.zeros((N, nu, ndx)),
+            np.zeros((N + 1, ndx)), np.zeros((N, nu)),
+        )  # fmt: skip
 
 
 def weighted(s: Array, W: Array, d: Array) -> Array:
@@ -29,11 +55,11 @@ def transposed_times(J: Array, d: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def add_congruence(J, s, W, K, into):
-    """into_n += s_n J_n'W_n K_n, skipping zeros of W and J."""
+def add_congruence(J, s, W, K, knots, into):
+    """into[knots_n] += s_n J_n'W_n K_n, skipping zeros of W and J."""
     m, columns = K.shape[1], K.shape[2]
     WK = np.empty((m, columns))
-    for n in range(J.shape[0]):
+    for n in range(knots.shape[0]):
         weight = W[n if W.shape[0] > 1 else 0]
         for i in range(m):
             for j in range(columns):
@@ -43,9 +69,22 @@ def add_congruence(J, s, W, K, into):
                 if w != 0.0:
                     for j in range(columns):
                         WK[i, j] += w * K[n, k, j]
+        block = into[knots[n]]
         for k in range(m):
             for i in range(J.shape[2]):
                 slope = J[n, k, i]
                 if slope != 0.0:
                     for j in range(columns):
-                        into[n, i, j] += slope * WK[k, j]
+                        block[i, j] += slope * WK[k, j]
+
+
+@njit(cache=True, nogil=True)
+def add_products(s, g, h, knots, into):
+    """into[knots_n] += s_n g_n h_n'."""
+    for n in range(knots.shape[0]):
+        block = into[knots[n]]
+        for i in range(g.shape[1]):
+            slope = s[n] * g[n, i]
+            if slope != 0.0:
+                for j in range(h.shape[1]):
+                    block[i, j] += slope * h[n, j]

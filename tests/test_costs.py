@@ -321,7 +321,7 @@ spoiled[4, 1, 1] = -1.0
         (costs.State(-1.0), r"\(State\): weight must be positive semidefinite"),
         (costs.State(1.0, [1.0, 2.0]), r"target must be a state \(3,\) or one a knot \(7, 3\), got shape \(2,\)"),
         (costs.State(1.0, when="end"), "unknown when 'end'; there are: running, terminal, always"),
-        (costs.Control(0.0), r"\(Control\): weight must be positive definite"),
+        (costs.Control([1.0, -1.0]), r"\(Control\): weight must be positive semidefinite"),
         (costs.Control([1.0, 1.0, 1.0]), r"weight must be .* got shape \(3,\)"),
         (costs.Control(1.0, np.zeros((N + 1, NU))), r"target must be .* got shape \(7, 2\)"),
         (costs.Residual(lambda x, u, t: x[9]), r"\(Residual\): r\(x, u, t\) fails for x of shape \(3,\): index 9"),

@@ -51,11 +51,7 @@ def van_der_pol(
         horizon=N,
         x0=np.array([finite("x1", x1), finite("x2", x2)]),
         costs=[
-            Residual(
-                lambda x, u, t: _stages(x, u, dt),
-                weight=np.repeat([1.0, 2.0, 2.0, 1.0], 2) / 6.0,
-                jacobian=lambda x, u, t: _stage_jacobians(x, u, dt),
-            ),
+            Residual(_stages, weight=np.repeat([1.0, 2.0, 2.0, 1.0], 2) / 6.0, parameters=[dt]),
             Control(positive("effort", effort)),
         ],
         options={
@@ -77,29 +73,15 @@ def _equations(x, u, t, p):
 
 
 @njit(cache=True)
-def _stages(x, u, h):
-    """States at the four stages of a Runge-Kutta step. Shape (8,)."""
-    p = np.empty(0)
+def _stages(x, u, t, p):
+    """States at the four stages of a Runge-Kutta step of length p[0]. Shape (8,)."""
+    h = p[0]
     out, z, part = np.empty(8, dtype=x.dtype), x, (0.0, 0.5 * h, 0.5 * h, h)
     for i in range(4):
         if i > 0:
-            z = x + part[i] * _equations(z, u, 0.0, p)
+            z = x + part[i] * _equations(z, u, t, p)
         out[2 * i : 2 * i + 2] = z
     return out
-
-
-@njit(cache=True)
-def _stage_jacobians(x, u, h):
-    """Derivatives of `_stages` by x (8, 2) and u (8, 1), by complex steps."""
-    by_x, by_u = np.empty((8, 2)), np.empty((8, 1))
-    z, w = x.astype(np.complex128), u.astype(np.complex128)
-    for j in range(2):
-        z[j] += 1e-40j
-        by_x[:, j] = _stages(z, w, h).imag / 1e-40
-        z[j] = x[j]
-    w[0] += 1e-40j
-    by_u[:, 0] = _stages(z, w, h).imag / 1e-40
-    return by_x, by_u
 
 
 def _scene(dt: float) -> Scene | None:

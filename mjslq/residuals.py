@@ -1,0 +1,301 @@
+"""Residuals bound to a system and a horizon: r_n(x_n, u_n, t_n) at some of the knots, all of them at once.
+
+A residual has a role: with a loss it is a cost (`mjslq.bound_costs`); with an interval it can be a constraint. Here
+is what both need of it: values, Jacobians, and second derivatives contracted with weights.
+
+Notation
+--------
+    r_n            residual at knot n. Shape (k, m) over the k knots where it acts
+    J_x, J_u       its derivatives by state (tangent directions) and control. Shapes (k, m, ndx), (k, m, nu)
+    w_n            weights, such as the slope of a loss or multipliers. Shape (k, m)
+    y_n, C_n, D_n  outputs and their Jacobians
+
+    state          r = difference(target, x)
+    control        r = u - target
+    output         r = y - target, or log(target^-1 y) for unit quaternions, a rotation vector [rad]
+    function       r = f(x, u, t)
+
+Left out of `curvature` for good: the curvature of difference() for states and readings that are rotations.
+"""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from enum import Enum
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mjslq.dynamics.dynamics import Dynamics, Linearization
+from mjslq.knots import Knots
+from mjslq.quadratic import Expansion
+from mjslq.rotation import conjugate, inverse_right_jacobian, log, product
+from mjslq.trajectory import Trajectory
+from mjslq.user_function import UserFunction
+from mjslq.validation import Array, as_array, choose, per_step_vectors
+
+
+class Identity(Enum):
+    """Stands for the identity, where a Jacobian would be one."""
+
+    IDENTITY = 0
+
+
+IDENTITY: Final = Identity.IDENTITY
+
+
+class Jacobian(NamedTuple):
+    """Derivatives of a residual; None stands for zero. Where one of them is the identity, the other is zero."""
+
+    x: Array | Identity | None
+    """By state, in tangent directions. Shape (k, m, ndx)."""
+    u: Array | Identity | None
+    """By control; what it says at knot N means nothing. Shape (k, m, nu)."""
+
+
+class BoundResidual(ABC):
+    """A residual at the knots of a horizon where it acts."""
+
+    knots: Knots
+    """The k knots."""
+    size: int
+    """m."""
+    constant_jacobian: Jacobian | None = None
+    """The Jacobian, where it is the same along all trajectories."""
+    curved: bool = False
+    """Whether `curvature` has something to add."""
+
+    @abstractmethod
+    def value(self, trajectory: Trajectory) -> Array:
+        """r_n. Shape (k, m)."""
+
+    @abstractmethod
+    def jacobian(self, trajectory: Trajectory, linearization: Linearization) -> Jacobian:
+        """Derivatives of r_n."""
+
+    def curvature(self, trajectory: Trajectory, weights: Array, into: Expansion, output_weights: Array) -> None:
+        """Add sum_i w_i d2r_i/d(x, u)2 at each knot: to `into`, or for outputs dr/dy'w to `output_weights` (N + 1, ny).
+
+        Outputs enter with their own second derivatives, which the engine contracts with `output_weights`.
+        """
+        return
+
+    def at(self, t0: float) -> BoundResidual:
+        """The same residual on a horizon that starts at the time `t0` [s]; itself where time does not enter."""
+        return self
+
+
+class StateResidual(BoundResidual):
+    """difference(target_n, x_n)."""
+
+    def __init__(self, dynamics: Dynamics, target: Array, knots: Knots) -> None:
+        self.knots, self.size, self._dynamics, self._target = knots, dynamics.ndx, dynamics, target
+        if dynamics.difference_jacobian(target[:1], target[:1]) is None:
+            self.constant_jacobian = Jacobian(IDENTITY, None)
+
+    def value(self, trajectory: Trajectory) -> Array:
+        """See `BoundResidual.value`."""
+        return self._dynamics.difference(self._target, trajectory.X[self.knots.at])
+
+    def jacobian(self, trajectory: Trajectory, linearization: Linearization) -> Jacobian:
+        """See `BoundResidual.jacobian`."""
+        if self.constant_jacobian is not None:
+            return self.constant_jacobian
+        return Jacobian(self._dynamics.difference_jacobian(self._target, trajectory.X[self.knots.at]), None)
+
+
+class ControlResidual(BoundResidual):
+    """u_n - target_n."""
+
+    constant_jacobian = Jacobian(None, IDENTITY)
+
+    def __init__(self, target: Array, knots: Knots) -> None:
+        self.knots, self.size, self._target = knots, target.shape[1], target
+
+    def value(self, trajectory: Trajectory) -> Array:
+        """See `BoundResidual.value`."""
+        difference: Array = trajectory.U[self.knots.at_steps] - self._target
+        return difference
+
+    def jacobian(self, trajectory: Trajectory, linearization: Linearization) -> Jacobian:
+        """See `BoundResidual.jacobian`."""
+        return self.constant_jacobian
+
+
+class OutputResidual(BoundResidual):
+    """y_n[columns] - target_n."""
+
+    curved = True
+
+    def __init__(self, columns: slice, target: Array, knots: Knots) -> None:
+        self.knots, self.size, self._columns, self._target = knots, target.shape[1], columns, target
+
+    def value(self, trajectory: Trajectory) -> Array:
+        """See `BoundResidual.value`."""
+        difference: Array = trajectory.Y[self.knots.at, self._columns] - self._target
+        return difference
+
+    def jacobian(self, trajectory: Trajectory, linearization: Linearization) -> Jacobian:
+        """See `BoundResidual.jacobian`."""
+        return Jacobian(*self._of_outputs(linearization))
+
+    def curvature(self, trajectory: Trajectory, weights: Array, into: Expansion, output_weights: Array) -> None:
+        """See `BoundResidual.curvature`."""
+        output_weights[self.knots.at, self._columns] += weights
+
+    def _of_outputs(self, linearization: Linearization) -> tuple[Array, Array | None]:
+        """C and D of the output; D is None where it is zero."""
+        C = np.ascontiguousarray(linearization.C[self.knots.at, self._columns])
+        if not len(self.knots.steps):
+            return C, None
+        D = np.ascontiguousarray(linearization.D[self.knots.at, self._columns])
+        return C, D if D.any() else None
+
+
+class OrientationResidual(OutputResidual):
+    """log(target_n^-1 y_n[columns]) of unit quaternions."""
+
+    curved = False
+
+    def __init__(self, columns: slice, target: Array, knots: Knots) -> None:
+        super().__init__(columns, target, knots)
+        self.size = 3
+
+    def value(self, trajectory: Trajectory) -> Array:
+        """See `BoundResidual.value`."""
+        return log(product(conjugate(self._target), trajectory.Y[self.knots.at, self._columns]))
+
+    def jacobian(self, trajectory: Trajectory, linearization: Linearization) -> Jacobian:
+        """See `BoundResidual.jacobian`."""
+        C, D = self._of_outputs(linearization)
+        turn = self._by_reading(trajectory)
+        return Jacobian(turn @ C, None if D is None else turn @ D)
+
+    def curvature(self, trajectory: Trajectory, weights: Array, into: Expansion, output_weights: Array) -> None:
+        """Nothing: the curvature of rotations is left out."""
+
+    def _by_reading(self, trajectory: Trajectory) -> Array:
+        """dr/dy: the turn that a change of y means, then the inverse right Jacobian. Shape (k, 3, 4)."""
+        y = trajectory.Y[self.knots.at, self._columns]
+        turn = np.stack([2.0 * product(conjugate(y), np.broadcast_to(e, y.shape))[:, 1:] for e in np.eye(4)], axis=-1)
+        return inverse_right_jacobian(self.value(trajectory)) @ turn
+
+
+class FunctionResidual(BoundResidual):
+    """f(x_n, u_n, t_n) for a user's function f; at knot N, where there is no control, u is zero."""
+
+    curved = True
+
+    def __init__(self, dynamics: Dynamics, function: UserFunction, knots: Knots, grid: Array) -> None:
+        self.knots, self.size, self._dynamics, self._function = knots, function.size, dynamics, function
+        self._grid = self._times = grid
+
+    def value(self, trajectory: Trajectory) -> Array:
+        """See `BoundResidual.value`."""
+        return self._function.values(self._points(trajectory), self._times)
+
+    def jacobian(self, trajectory: Trajectory, linearization: Linearization) -> Jacobian:
+        """See `BoundResidual.jacobian`."""
+        J, nx = self._function.jacobians(self._points(trajectory), self._times), self._dynamics.nx
+        basis = self._bases(trajectory)
+        by_x = np.ascontiguousarray(J[:, :, :nx]) if basis is None else J[:, :, :nx] @ basis
+        return Jacobian(by_x, np.ascontiguousarray(J[:, :, nx:]) if len(self.knots.steps) else None)
+
+    def curvature(self, trajectory: Trajectory, weights: Array, into: Expansion, output_weights: Array) -> None:
+        """See `BoundResidual.curvature`."""
+        self.add_hessians(trajectory, self.hessians(trajectory, weights), into)
+
+    def hessians(self, trajectory: Trajectory, weights: Array) -> Array:
+        """d2(w_n'f)/d(x, u)2 by the entries of x and u. Shape (k, nx + nu, nx + nu)."""
+        return self._function.hessians(self._points(trajectory), self._times, weights)
+
+    def add_hessians(self, trajectory: Trajectory, H: Array, into: Expansion) -> None:
+        """Add Hessians by the entries of x and u, turned into tangent directions."""
+        nx, basis, knots = self._dynamics.nx, self._bases(trajectory), self.knots
+        xx, ux, steps = H[:, :nx, :nx], H[:, nx:, :nx], len(knots.steps)
+        if basis is not None:
+            xx, ux = basis.swapaxes(1, 2) @ xx @ basis, ux @ basis
+        into.Q[knots.at] += xx
+        into.M[knots.at_steps] += ux[:steps]
+        into.R[knots.at_steps] += H[:steps, nx:, nx:]
+
+    def at(self, t0: float) -> FunctionResidual:
+        """See `BoundResidual.at`."""
+        moved = copy.copy(self)
+        moved._times = self._grid + t0
+        return moved
+
+    def _points(self, trajectory: Trajectory) -> Array:
+        """(x_n, u_n) in a row. Shape (k, nx + nu)."""
+        Z = np.zeros((len(self.knots), self._dynamics.nx + self._dynamics.nu))
+        Z[:, : self._dynamics.nx] = trajectory.X[self.knots.at]
+        Z[: len(self.knots.steps), self._dynamics.nx :] = trajectory.U[self.knots.at_steps]
+        return Z
+
+    def _bases(self, trajectory: Trajectory) -> Array | None:
+        """Tangent directions of the states. Shape (k, nx, ndx); None stands for the identity."""
+        if self._dynamics.nx == self._dynamics.ndx:
+            return None
+        bases = [self._dynamics.tangent_basis(x) for x in trajectory.X[self.knots.at]]
+        return np.stack([basis for basis in bases if basis is not None])
+
+
+def bind_state(dynamics: Dynamics, target: ArrayLike | None, knots: Knots, name: str = "target") -> StateResidual:
+    """Distance of states from `target`: a state, one a knot, or one for each of listed knots; zero if None.
+
+    Raises ValueError, which calls the target `name`.
+    """
+    if target is None:
+        if dynamics.nx != dynamics.ndx:
+            raise ValueError(f"{name} must be given: a state with quaternions has no zero to default to")
+        target = np.zeros(dynamics.nx)
+    array, size, all_knots = as_array(name, target), dynamics.nx, knots.N + 1
+    rows = _rows(array, knots, all_knots)
+    if array.shape not in ((size,), (rows, size)):
+        raise ValueError(
+            f"{name} must be a state ({size},) or one a knot ({all_knots}, {size}), got shape {array.shape}"
+        )
+    return StateResidual(dynamics, _at_knots(np.broadcast_to(array, (rows, size)), knots.at, len(knots)), knots)
+
+
+def bind_control(dynamics: Dynamics, target: ArrayLike, knots: Knots, name: str = "target") -> ControlResidual:
+    """Distance of controls from `target`: a number, a control, one a step, or one for each of listed knots."""
+    if len(knots.steps) < len(knots):
+        raise ValueError(
+            f"when must name steps for controls, 0 to {knots.N - 1}: at the terminal knot {knots.N} there is none"
+        )
+    rows = _rows(target, knots, knots.N)
+    return ControlResidual(_at_knots(per_step_vectors(name, target, rows, dynamics.nu), knots.at, len(knots)), knots)
+
+
+def bind_output(
+    dynamics: Dynamics, output: str, target: ArrayLike, knots: Knots, name: str = "target"
+) -> OutputResidual:
+    """Distance of the readings of `output` from `target`: one reading, one a knot, or one for each of listed knots."""
+    columns, quaternion = dynamics.outputs[choose("sensor", output, dynamics.outputs)]
+    rows = _rows(target, knots, knots.N + 1)
+    targets = per_step_vectors(name, target, rows, columns.stop - columns.start)
+    if quaternion:
+        length = np.linalg.norm(targets, axis=1, keepdims=True)
+        if (length < 1e-9).any():
+            raise ValueError(f"{name} of the orientation {output!r} must be a quaternion, not zeros")
+        targets = targets / length
+    kind = OrientationResidual if quaternion else OutputResidual
+    return kind(columns, _at_knots(targets, knots.at, len(knots)), knots)
+
+
+def bind_function(dynamics: Dynamics, function: UserFunction, knots: Knots, steps: Array) -> FunctionResidual:
+    """A user's function at knots of a horizon of steps of these lengths (N,). [s]"""
+    return FunctionResidual(dynamics, function, knots, np.concatenate([[0.0], np.cumsum(steps)])[knots.at])
+
+
+def _rows(target: ArrayLike, knots: Knots, every: int) -> int:
+    """How many rows a target with one a knot has: one for `every` knot, or one for each of the knots listed."""
+    listed = knots.name is None and np.ndim(target) == 2 and len(np.asarray(target)) == len(knots)
+    return len(knots) if listed else every
+
+
+def _at_knots(targets: Array, at: slice | NDArray[np.int64], count: int) -> Array:
+    return np.array(targets if len(targets) == count else targets[at], order="C")

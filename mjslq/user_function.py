@@ -1,0 +1,218 @@
+"""A user's function of (x, u, t) at many knots, with its derivatives: the one place where they are taken.
+
+Notation
+--------
+    z_n = (x_n, u_n)   Z  Shape (k, nx + nu);  at knot N, where there is no control, u is zero
+    f(x, u, t)         numbers in a row (m,), or one number (m = 1);  f(x, u, t, p) where there are parameters p
+
+    df/dz              as given, or by complex steps
+    d2(w'f)/dz2        as given, or by central differences of df/dz
+
+Plain Python is called knot by knot. Functions compiled by numba.njit run in a compiled loop over the knots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from numba.core.errors import NumbaError
+from numpy.typing import ArrayLike
+
+from mjslq import user_kernels as kernels
+from mjslq.complex_step import DIFFERENCE, complex_step, refused_complex
+from mjslq.validation import Array, as_array
+
+Derivative = Callable[..., Any] | None
+"""A user's derivative, where one is given."""
+_GENERIC = 0.6180339887498949
+"""Entries of the point at which a function is called that is not defined at the origin."""
+
+
+class UserFunction:
+    """f(x, u, t) -> (m,) with its derivatives, by the knots of a horizon.
+
+    Raises ValueError when f does not return numbers in a row for x (nx,), u (nu,) at the origin, where it need not be
+    defined.
+    """
+
+    _remedy = "jacobian="
+
+    def __init__(
+        self,
+        letter: str,
+        f: Callable[..., Any],
+        nx: int,
+        nu: int,
+        jacobian: Derivative = None,
+        parameters: ArrayLike | None = None,
+    ) -> None:
+        self.name = f"{letter}(x, u, t)" if parameters is None else f"{letter}(x, u, t, p)"
+        if not callable(f):
+            raise ValueError(f"{self.name} must be a function, got {type(f).__name__}")
+        self._f, self._nx, self._nu, self._jacobian = f, nx, nu, jacobian
+        self._p = () if parameters is None else (np.array(as_array("parameters", parameters, ("size",))),)
+        value = self._at_origin()
+        if value.ndim > 1:
+            raise ValueError(f"{self.name} must return a number or numbers in a row (m,), got shape {value.shape}")
+        self.size = value.size
+        try:
+            self._returns = kernels.returns_of(f, len(self._p))
+        except NumbaError as error:
+            raise ValueError(f"{self.name} cannot be compiled by numba: {_gist(error)}") from None
+
+    @property
+    def compiled(self) -> bool:
+        """Whether values are computed in a compiled loop over the knots."""
+        return self._returns is not None
+
+    def values(self, Z: Array, times: Array) -> Array:
+        """F at every knot. Shape (k, m)."""
+        out = np.empty((len(Z), self.size))
+        if self._returns is not None:
+            self._kernel(kernels.values)(self._f, Z, self._nx, times, self._p, out)
+            return out
+        for n, t in enumerate(times.tolist()):
+            out[n] = self._value(Z[n], t)
+        return out
+
+    def jacobians(self, Z: Array, times: Array) -> Array:
+        """df/dz at every knot. Shape (k, m, nx + nu)."""
+        J = np.empty((len(Z), self.size, Z.shape[1]))
+        if self._in_loop:
+            self._kernel(kernels.jacobians)(self._f, Z, self._nx, times, self._p, J)
+            return J
+        with refused_complex(self.name, self._remedy):
+            for n, t in enumerate(times.tolist()):
+                J[n] = self._derivative(Z[n], t)
+        return J
+
+    def hessians(self, Z: Array, times: Array, weights: Array) -> Array:
+        """d2(w_n'f)/dz2 at every knot, symmetric; weights w_n of shape (k, m). Shape (k, nx + nu, nx + nu)."""
+        H = np.empty((len(Z), Z.shape[1], Z.shape[1]))
+        if self._in_loop:
+            self._kernel(kernels.hessians)(self._f, Z, self._nx, times, self._p, weights, H)
+            return H
+        with refused_complex(self.name, self._remedy):
+            for n, t in enumerate(times.tolist()):
+                H[n] = self._second_derivative(Z[n], t, weights[n])
+        return 0.5 * (H + H.swapaxes(1, 2))
+
+    @cached_property
+    def _in_loop(self) -> bool:
+        """Whether derivatives are complex steps in a compiled loop; ValueError where a compiled f cannot take them."""
+        if self._returns is None or self._jacobian is not None:
+            return False
+        if not kernels.takes_complex(self._f, self._returns, len(self._p)):
+            raise ValueError(
+                f"{self.name} cannot be differentiated by complex steps: compiled for complex x and u it must return "
+                f"complex numbers; write it analytic in x and u, or use {self._remedy}"
+            )
+        return True
+
+    def _kernel(self, plain: Callable[..., Any]) -> Callable[..., Any]:
+        assert self._returns is not None
+        return kernels.compiled(plain, self._returns, len(self._p))
+
+    def _value(self, z: Array, t: float) -> Array:
+        value = np.atleast_1d(np.asarray(self._f(z[: self._nx], z[self._nx :], t, *self._p)))
+        if value.shape != (self.size,):
+            raise ValueError(
+                f"{self.name} must return as many numbers at every knot as at the origin, ({self.size},), "
+                f"got shape {value.shape} at t = {t:g}"
+            )
+        return value
+
+    def _derivative(self, z: Array, t: float) -> Array:
+        """df/dz. Shape (m, nx + nu)."""
+        if self._jacobian is None:
+            return complex_step(partial(self._value, t=t), z)
+        parts = self._jacobian(z[: self._nx], z[self._nx :], t, *self._p)
+        return np.hstack(checked("jacobian", parts, [(self.size, self._nx), (self.size, self._nu)]))
+
+    def _second_derivative(self, z: Array, t: float, weights: Array) -> Array:
+        """Jacobian of the gradient w'df/dz by central differences, not quite symmetric. Shape (nx + nu, nx + nu)."""
+        columns = []
+        for i in range(z.size):
+            d = np.zeros(z.size)
+            d[i] = DIFFERENCE * max(1.0, abs(z[i]))
+            beyond, before = self._derivative(z + d, t), self._derivative(z - d, t)
+            columns.append(weights @ (beyond - before) / (2.0 * d[i]))
+        return np.stack(columns, axis=-1)
+
+    def _at_origin(self) -> Array:
+        """What f returns at the origin, where it need not be defined but has its shape; or else near it."""
+        plain = self._f.py_func if isinstance(self._f, Dispatcher) else self._f  # which checks its indices
+        errors: list[Exception] = []
+        for number in (0.0, _GENERIC):
+            try:
+                with np.errstate(all="ignore"):
+                    x, u = np.full(self._nx, number), np.full(self._nu, number)
+                    return np.asarray(plain(x, u, number, *self._p))
+            except (IndexError, ValueError, TypeError, ArithmeticError) as error:
+                errors.append(error)
+        raise ValueError(f"{self.name} fails for x of shape ({self._nx},): {errors[0]}") from None
+
+
+class UserCost(UserFunction):
+    """A function that returns one number, with its derivatives in the forms that go with one."""
+
+    _remedy = "gradient= and hessian="
+
+    def __init__(
+        self,
+        letter: str,
+        f: Callable[..., Any],
+        nx: int,
+        nu: int,
+        gradient: Derivative = None,
+        hessian: Derivative = None,
+        parameters: ArrayLike | None = None,
+    ) -> None:
+        super().__init__(letter, f, nx, nu, gradient, parameters)
+        self._hessian = hessian
+
+    def hessians(self, Z: Array, times: Array, weights: Array) -> Array:
+        """See `UserFunction.hessians`."""
+        if self._hessian is None:
+            return super().hessians(Z, times, weights)
+        H = np.empty((len(Z), Z.shape[1], Z.shape[1]))
+        for n, t in enumerate(times.tolist()):
+            value = self._hessian(Z[n, : self._nx], Z[n, self._nx :], t, *self._p)
+            H[n] = weights[n, 0] * checked("hessian", (value,), [H.shape[1:]])[0]
+        return 0.5 * (H + H.swapaxes(1, 2))
+
+    def _derivative(self, z: Array, t: float) -> Array:
+        if self._jacobian is None:
+            return super()._derivative(z, t)
+        parts = self._jacobian(z[: self._nx], z[self._nx :], t, *self._p)
+        return np.concatenate(checked("gradient", parts, [(self._nx,), (self._nu,)]))[None]
+
+    def _value(self, z: Array, t: float) -> Array:
+        return np.asarray(self._f(z[: self._nx], z[self._nx :], t, *self._p)).reshape(1)
+
+    def _at_origin(self) -> Array:
+        value = super()._at_origin()
+        if value.size != 1:
+            raise ValueError(f"{self.name} must return a number, got shape {value.shape}")
+        return value.reshape(1)
+
+
+def _gist(error: NumbaError) -> str:
+    """The line of numba's message that says what is wrong."""
+    lines = [line.strip() for line in str(error).splitlines()]
+    return next((line for line in lines[1:] if line), lines[0] if lines else "")
+
+
+def checked(name: str, parts: Sequence[Any], shapes: Sequence[tuple[int, ...]]) -> list[Array]:
+    """Return what a user's derivative gave, as arrays of the right shapes."""
+    arrays = [np.asarray(part, dtype=np.float64) for part in parts]
+    given = [array.shape for array in arrays]
+    if given != list(shapes):
+        raise ValueError(
+            f"{name} must return shape {' and '.join(map(str, shapes))}, got {' and '.join(map(str, given))}"
+        )
+    return arrays
