@@ -4,48 +4,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lq_problems import dense as dense_model
+from lq_problems import random_problem, response
 
 from mjslq.lq import dense
 from mjslq.lq.adjoint import adjoint
-from mjslq.lq.riccati import LQProblem, NotPositiveDefinite, solve
+from mjslq.lq.problem import NotPositiveDefinite
+from mjslq.lq.riccati import solve
 
 seeds = st.integers(0, 2**32 - 1)
 sizes = st.tuples(st.integers(1, 8), st.integers(1, 6), st.integers(1, 12))  # nx, nu, N
-
-
-def random_problem(rng, nx, nu, N, *, state=1.0, control=1.0, terminal=1.0, radius=1.0, cross=True, gaps=True):
-    """An LQ problem, and the residual rows W (x, u) + e behind its stage costs 1/2 |W (x, u) + e|^2."""
-    A = rng.standard_normal((N, nx, nx))
-    A *= radius / np.abs(np.linalg.eigvals(A)).max(axis=1)[:, None, None]
-    B = rng.standard_normal((N, nx, nu))
-    c = rng.standard_normal((N, nx)) if gaps else np.zeros((N, nx))
-    W = np.zeros((N, nx + nu, nx + nu))
-    W[:, :nx, :nx] = np.sqrt(state) * rng.standard_normal((N, nx, nx))
-    W[:, nx:, nx:] = np.sqrt(control) * (np.eye(nu) + 0.3 * rng.standard_normal((N, nu, nu)) / np.sqrt(nu))
-    if cross:
-        W[:, nx:, :nx] = np.sqrt(min(state, control)) * rng.standard_normal((N, nu, nx))
-    e = rng.standard_normal((N, nx + nu))
-    W_end, e_end = np.sqrt(terminal) * rng.standard_normal((nx, nx)), np.sqrt(terminal) * rng.standard_normal(nx)
-    H = W.transpose(0, 2, 1) @ W
-    h = (W.transpose(0, 2, 1) @ e[..., None])[..., 0]
-    lq = LQProblem(
-        A=A, B=B, c=c,
-        Q=np.ascontiguousarray(np.concatenate([H[:, :nx, :nx], [W_end.T @ W_end]])),
-        R=np.ascontiguousarray(H[:, nx:, nx:]), M=np.ascontiguousarray(H[:, nx:, :nx]),
-        q=np.concatenate([h[:, :nx], [W_end.T @ e_end]]), r=np.ascontiguousarray(h[:, nx:]),
-    )  # fmt: skip
-    return lq, (W, e, W_end, e_end)
-
-
-def response(A, B, c):
-    """X = S U + s for x_0 = 0: S of shape (N + 1, nx, N nu), s of shape (N + 1, nx)."""
-    N, nx, nu = B.shape
-    S, s = np.zeros((N + 1, nx, N * nu)), np.zeros((N + 1, nx))
-    for n in range(N):
-        S[n + 1] = A[n] @ S[n]
-        S[n + 1, :, n * nu : (n + 1) * nu] += B[n]
-        s[n + 1] = A[n] @ s[n] + c[n]
-    return S, s
 
 
 def dense_least_squares(lq, rows, multiplier=0.0):
@@ -255,6 +223,110 @@ def test_a_multiplier_mends_an_indefinite_control_weight():
     with pytest.raises(NotPositiveDefinite):
         solve(lq)
     assert np.isfinite(solve(lq, 1e4).U).all()
+
+
+@given(sizes, seeds, st.floats(1e-6, 1e4), st.floats(1e-6, 1e4))
+def test_shifts_are_on_the_diagonals_of_R_and_Q(size, seed, sigma, tau):
+    """Control shifts may differ from step to step, and refinement solves the shifted problem, not the plain one."""
+    nx, nu, N = size
+    rng = np.random.default_rng(seed)
+    lq, _ = random_problem(rng, *size)
+    by_step = sigma * rng.uniform(0.0, 1.0, N)
+    whole = lq._replace(R=lq.R + by_step[:, None, None] * np.eye(nu), Q=lq.Q + tau * np.eye(nx))
+    for refinements in (None, 0, 2):
+        ours, twin = solve(lq, by_step, tau, refinements=refinements), solve(whole)
+        for name in ("K", "k", "X", "U", "P", "p"):
+            a, b = getattr(ours, name), getattr(twin, name)
+            np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-8 * np.abs(b).max(), err_msg=name)
+    H, g = dense_model(whole)
+    assert relative(ours.U.ravel(), np.linalg.solve(H, -g)) < 1e-8
+
+
+@given(sizes, seeds, st.floats(0.0, 1.0))
+def test_held_controls_stay_at_zero_and_the_others_minimize(size, seed, share):
+    nx, nu, N = size
+    rng = np.random.default_rng(seed)
+    lq, _ = random_problem(rng, *size)
+    held = rng.uniform(size=(N, nu)) < share
+    ours = solve(lq, held=held)
+    assert not ours.U[held].any() and not ours.K[held].any() and not ours.k[held].any()
+    H, g = dense_model(lq)
+    free = ~held.ravel()
+    dense_U = np.zeros(N * nu)
+    dense_U[free] = np.linalg.solve(H[np.ix_(free, free)], -g[free])
+    np.testing.assert_allclose(ours.U.ravel(), dense_U, rtol=1e-8, atol=1e-9 * max(1.0, np.abs(dense_U).max()))
+    plain = solve(lq)
+    if not held.any():
+        for a, b in zip(ours, plain, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+@given(sizes, seeds)
+def test_held_controls_leave_a_problem_with_fewer_controls(size, seed):
+    """One control held throughout: all of the sweep, cost-to-go included, is that of the problem without it."""
+    nx, nu, N = size
+    rng = np.random.default_rng(seed)
+    lq, _ = random_problem(rng, nx, nu + 1, N)
+    held = np.zeros((N, nu + 1), bool)
+    out = int(rng.integers(nu + 1))
+    held[:, out] = True
+    rest = np.delete(np.arange(nu + 1), out)
+    smaller = lq._replace(
+        B=np.ascontiguousarray(lq.B[:, :, rest]), R=np.ascontiguousarray(lq.R[:, rest][:, :, rest]),
+        M=np.ascontiguousarray(lq.M[:, rest]), r=np.ascontiguousarray(lq.r[:, rest]),
+    )  # fmt: skip
+    ours, twin = solve(lq, held=held), solve(smaller)
+    for name in ("X", "P", "p"):
+        a, b = getattr(ours, name), getattr(twin, name)
+        np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-8 * np.abs(b).max(), err_msg=name)
+    for name in ("K", "k", "U"):
+        a, b = getattr(ours, name)[:, rest], getattr(twin, name)
+        np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-8 * np.abs(b).max(), err_msg=name)
+
+
+def test_a_control_that_is_held_needs_no_weight():
+    lq, _ = random_problem(np.random.default_rng(3), 3, 2, 10)
+    lq.R[6, 1, :], lq.R[6, :, 1], lq.R[6, 1, 1] = 0.0, 0.0, -1e6
+    with pytest.raises(NotPositiveDefinite):
+        solve(lq)
+    held = np.zeros((10, 2), bool)
+    held[6, 1] = True
+    assert np.isfinite(solve(lq, held=held).U).all()
+
+
+# The problem's own functions
+
+
+@given(sizes, seeds)
+def test_value_and_states_are_a_plain_loop(size, seed):
+    rng = np.random.default_rng(seed)
+    lq, _ = random_problem(rng, *size)
+    U = rng.standard_normal(lq.r.shape)
+    x, X = np.zeros(lq.A.shape[1]), [np.zeros(lq.A.shape[1])]
+    for n, u in enumerate(U):
+        x = lq.A[n] @ x + lq.B[n] @ u + lq.c[n]
+        X.append(x)
+    np.testing.assert_allclose(lq.states(U), X, rtol=1e-12, atol=1e-12)
+    scale = np.abs(np.einsum("ni,nij,nj->n", X, lq.Q, X)).sum() + np.vdot(U, U)
+    assert lq.value(lq.states(U), U) == pytest.approx(total_cost(lq, U), rel=1e-10, abs=1e-12 * scale)
+
+
+@given(sizes, seeds)
+def test_a_problem_about_a_point_differs_by_a_constant(size, seed):
+    rng = np.random.default_rng(seed)
+    lq, _ = random_problem(rng, *size)
+    X, U = rng.standard_normal(lq.q.shape), rng.standard_normal(lq.r.shape)
+    X[0] = 0.0
+    about = lq.about(X, U)
+    offsets = []
+    for _ in range(3):
+        dU = rng.standard_normal(U.shape)
+        dX = about.states(dU)
+        np.testing.assert_allclose(X + dX, lq.states(U + dU), rtol=1e-10, atol=1e-10 * np.abs(dX).max())
+        offsets.append(lq.value(X + dX, U + dU) - about.value(dX, dU))
+    assert np.ptp(offsets) <= 1e-10 * max(1.0, *np.abs(offsets), abs(lq.value(X + dX, U + dU)))
+    moved, plain = solve(about), solve(lq)
+    np.testing.assert_allclose(U + moved.U, plain.U, rtol=1e-7, atol=1e-8 * np.abs(plain.U).max())
 
 
 # The adjoint

@@ -8,10 +8,12 @@ from small_problems import DOUBLE_INTEGRATOR, PENDULUM, drag, linear, pendulum
 
 from mjslq import FunctionDynamics, Problem, Status, costs, problems, solve
 from mjslq.problems.drag_particle import OPTIMAL_COSTS
+from mjslq.options import SLQOptions
 from mjslq.problems.hopper import phases
 from mjslq.solvers.iterate import Iterate
 from mjslq.solvers.linesearch import SEARCHES
-from mjslq.solvers.slq import gauss_newton
+from mjslq.solvers.merit import CostAndGaps
+from mjslq.solvers.slq import SLQ
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -61,15 +63,18 @@ def complex_jacobian(residuals, U):
 def test_theorem_1_the_direction_descends_by_identity_34(seed):
     problem, U, Q, R, _ = random_nonlinear(seed)
     here = Iterate(problem, problem.rollout(U))
-    direction = gauss_newton(here)
+    direction = SLQ(SLQOptions()).direction(here)
+    slope = CostAndGaps().slope(here, direction)
     A, B, _, _ = here.linearization
     x, total = np.zeros(A.shape[1]), 0.0
     for n, u in enumerate(direction.U):  # (30)
         total += x @ Q[n] @ x + u @ R[n] @ u
         x = A[n] @ x + B[n] @ u
     total += x @ Q[-1] @ x
-    assert here.slope(direction) == pytest.approx(-total, rel=1e-8)
-    assert here.slope(direction) < 0.0
+    assert slope == pytest.approx(-total, rel=1e-8)
+    assert slope < 0.0
+    assert direction.expected == pytest.approx(-0.5 * total, rel=1e-8)  # the model's minimum
+    assert not direction.held.any() and not direction.limited and direction.multiplier == 0.0
     shorter = [Iterate(problem, problem.rollout(U + a * direction.U)).cost for a in 0.5 ** np.arange(30)]
     assert min(shorter) < here.cost
 
@@ -82,7 +87,7 @@ def test_theorem_3_the_direction_is_gauss_newtons(seed):
     assert here.cost == pytest.approx(0.5 * F @ F, rel=1e-12)
     np.testing.assert_allclose(here.gradient.ravel(), G.T @ F, rtol=1e-9, atol=1e-11 * np.abs(G.T @ F).max())
     dense = np.linalg.lstsq(G, -F)[0]
-    np.testing.assert_allclose(gauss_newton(here).U.ravel(), dense, rtol=1e-7, atol=1e-9 * np.abs(dense).max())
+    np.testing.assert_allclose(SLQ(SLQOptions()).direction(here).U.ravel(), dense, rtol=1e-7, atol=1e-9 * np.abs(dense).max())
 
 
 # Methods times problems
@@ -103,11 +108,11 @@ def test_every_search_converges_on_every_problem(make, line_search, step):
     assert result.options["line_search"] == line_search and result.options["step"] == step
 
 
-@pytest.mark.parametrize("beta, iterations", [(0.01, 9), (0.05, 20), (0.1, 21), (0.5, 35), (1.0, 60)])
+@pytest.mark.parametrize("beta, iterations", [(0.01, 9), (0.05, 16), (0.1, 20), (0.5, 27), (1.0, 46)])
 def test_drag_particle_of_table_1(beta, iterations):
     result = solve(drag(beta))
     assert result.status is Status.CONVERGED, result.message
-    assert result.iterations <= iterations
+    assert result.iterations == iterations
     assert result.gradient_norm < 1e-6
     assert result.cost == pytest.approx(OPTIMAL_COSTS[beta], rel=2e-9)
     assert result.trajectory.X[-1, 0] == pytest.approx(10.0, abs=0.1)

@@ -4,20 +4,29 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_newton import dense, pendulum, random_lq
+from lq_problems import dense, random_lq
+from small_problems import pendulum
 
 from mjslq import FunctionDynamics, Problem, Status, costs, problems, solve
-from mjslq.lq.riccati import LQProblem, NotPositiveDefinite
-from mjslq.lq.trust_region import model_value, solve_in_ball
+from mjslq.lq.box import Box
+from mjslq.lq.problem import LQProblem, NotPositiveDefinite
+from mjslq.lq.trust_region import BallSolution, solve_in_ball
 from mjslq.problems.drag_particle import OPTIMAL_COSTS
 from mjslq.problems.van_der_pol import OPTIMAL_COST, PAPER_TABLE
 
 
+def in_ball(problem, radius, weights, guess=0.0) -> BallSolution:
+    """Without limits of the controls."""
+    unlimited = np.full(problem.r.shape, np.inf)
+    return solve_in_ball(problem, Box(-unlimited, unlimited), radius, weights, guess)
+
+
 def check_optimal(problem, radius, weights):
     """More and Sorensen's conditions, on the dense Hessian."""
-    found = solve_in_ball(problem, radius, weights)
+    found = in_ball(problem, radius, weights)
+    U = found.found.lq.U
     H, g = dense(problem)
-    W, v = np.diag(np.repeat(weights, problem.B.shape[2])), found.U.ravel()
+    W, v = np.diag(np.repeat(weights, problem.B.shape[2])), U.ravel()
     length, values = np.sqrt(v @ W @ v), np.linalg.eigvalsh(H)
     scale = np.abs(values).max() + found.multiplier * np.abs(W).max()
     assert found.multiplier >= 0.0 and length <= radius * (1.0 + 1e-6)
@@ -26,7 +35,7 @@ def check_optimal(problem, radius, weights):
     if found.multiplier > 0.0:
         assert length == pytest.approx(radius, rel=1e-6)
     assert found.value == pytest.approx(g @ v + 0.5 * v @ H @ v, rel=1e-8, abs=1e-10 * scale)
-    assert found.value == pytest.approx(model_value(problem, found.U)) and found.value < 0.0
+    assert found.value == pytest.approx(problem.value(problem.states(U), U)) and found.value < 0.0
     return found
 
 
@@ -35,12 +44,11 @@ def test_the_ball_problem_is_solved_to_its_optimality_conditions(seed, radius):
     problem = random_lq(seed)
     weights = np.random.default_rng(seed).uniform(0.1, 2.0, len(problem.B))
     found = check_optimal(problem, radius, weights)
-    x = np.zeros(problem.A.shape[1])
-    for n, u in enumerate(found.U):  # the same as feedforward beside the gains
-        np.testing.assert_allclose(
-            found.k[n] - found.K[n] @ x, u, rtol=1e-5, atol=1e-6 * (1.0 + np.abs(found.k[n]).max())
-        )
+    x, lq = np.zeros(problem.A.shape[1]), found.found.lq
+    for n, u in enumerate(lq.U):  # the same as feedforward beside the gains
+        np.testing.assert_allclose(lq.k[n] - lq.K[n] @ x, u, rtol=1e-5, atol=1e-6 * (1.0 + np.abs(lq.k[n]).max()))
         x = problem.A[n] @ x + problem.B[n] @ u
+    np.testing.assert_allclose(lq.X[-1], x, rtol=1e-8, atol=1e-9 * (1.0 + np.abs(lq.X).max()))
 
 
 def diagonal(curvatures, gradient):
@@ -57,14 +65,14 @@ def test_the_hard_case(slight):
     """No gradient along the direction of most negative curvature: the border is reached along that direction."""
     found = check_optimal(diagonal([-2.0, 1.0, 3.0], [slight, 1.0, 1.0]), 5.0, np.ones(1))
     assert found.multiplier == pytest.approx(2.0, abs=1e-4)
-    assert abs(found.U[0, 0]) == pytest.approx(np.sqrt(25.0 - 1 / 9 - 1 / 25), rel=1e-3)
+    assert abs(found.found.lq.U[0, 0]) == pytest.approx(np.sqrt(25.0 - 1 / 9 - 1 / 25), rel=1e-3)
     if slight == 1e-5:
-        assert found.U[0, 0] < 0.0
+        assert found.found.lq.U[0, 0] < 0.0
 
 
 def test_a_saddle_without_any_gradient_is_left():
-    found = solve_in_ball(diagonal([-1.0, 2.0], [0.0, 0.0]), 3.0, np.ones(1))
-    assert np.abs(found.U) == pytest.approx(np.array([[3.0, 0.0]]), abs=1e-6) and found.value == pytest.approx(-4.5)
+    found = in_ball(diagonal([-1.0, 2.0], [0.0, 0.0]), 3.0, np.ones(1))
+    assert np.abs(found.found.lq.U) == pytest.approx(np.array([[3.0, 0.0]]), abs=1e-6) and found.value == pytest.approx(-4.5)
 
 
 def test_stages_have_to_be_positive_definite_each():
@@ -78,7 +86,7 @@ def test_stages_have_to_be_positive_definite_each():
 
 def test_numbers_that_are_not_finite_are_told():
     with pytest.raises(NotPositiveDefinite):
-        solve_in_ball(diagonal([np.nan, 1.0], [1.0, 1.0]), 1.0, np.ones(1))
+        in_ball(diagonal([np.nan, 1.0], [1.0, 1.0]), 1.0, np.ones(1))
 
 
 # Table I
@@ -199,7 +207,7 @@ def test_a_saddle_point_to_start_from_is_left():
         ({"eta": 0.5}, "eta must be a pair of numbers"),
         ({"gamma": (0.5, 0.9)}, r"gamma must be a pair of numbers with 0 < gamma_1 < 1 < gamma_2, got"),
         ({"hessian": "exact"}, "unknown hessian 'exact'; there are: newton, gauss-newton"),
-        ({"step": "closed"}, "unknown step 'closed'; there are: auto, open-loop, closed-loop"),
+        ({"step": "closed"}, "unknown step 'closed'; there are: closed-loop, open-loop"),
     ],
 )
 def test_wrong_options_are_refused_in_one_sentence(options, sentence):

@@ -15,7 +15,7 @@ import numpy as np
 from mjslq.options import GradientOptions, Search
 from mjslq.solvers.iterate import Direction, Iterate
 from mjslq.solvers.merit import Merit
-from mjslq.solvers.method import Step
+from mjslq.solvers.method import Method, Step
 from mjslq.solvers.steps import LineSearch
 
 GROWTH = 4.0
@@ -26,8 +26,8 @@ LONGEST = 1e6
 """Multiple of the first length offered beyond which no step goes."""
 
 
-class Gradient:
-    """The method, with the length that it offers next; see `solvers.method.Method`."""
+class Gradient(Method):
+    """The method, with the length that it offers next."""
 
     tests_direction = False  # its length says nothing here
 
@@ -59,7 +59,3 @@ class Gradient:
         if best.iterate is not None and self._length is not None:
             self._length *= GROWTH * best.alpha
         return Step(best.iterate, best.alpha, spent)
-
-    def remark(self) -> str:
-        """Nothing."""
-        return ""

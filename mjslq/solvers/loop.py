@@ -61,6 +61,7 @@ def descend(start: Iterate, method: Method, stopping: Stopping, monitor: Monitor
         outcome.status, outcome.error = Status.FAILED, traceback.format_exc()
         outcome.remark = f"{type(error).__name__}: {' '.join(str(error).split())}."
     _finish(outcome, method)
+    outcome.remark = " ".join(part for part in (outcome.remark, method.remark()) if part)
     return outcome
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 from mjslq.solvers.iterate import Direction, Iterate
 from mjslq.solvers.merit import Merit
@@ -25,17 +25,20 @@ class Step:
     """Whether the trial was refused and another direction is to come from the same iterate."""
 
 
-class Method(Protocol):
+class Method(ABC):
     """Finds directions and steps; may keep state from an iteration to the next, such as a multiplier."""
 
-    tests_direction: bool
+    tests_direction: bool = True
     """Whether a short direction is a sign of convergence."""
 
+    @abstractmethod
     def direction(self, here: Iterate) -> Direction:
         """Search direction at `here`. Raises NotPositiveDefinite where there is none."""
 
+    @abstractmethod
     def step(self, here: Iterate, direction: Direction, merit: Merit) -> Step:
         """Go along `direction` so that the merit falls."""
 
     def remark(self) -> str:
-        """What a user should know of how the method went; often nothing."""
+        """What a user should know of how the method went, in a sentence; often nothing."""
+        return ""

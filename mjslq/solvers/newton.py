@@ -45,7 +45,7 @@ from mjslq.options import NewtonOptions
 from mjslq.solvers.damping import UNDAMPED, Damping
 from mjslq.solvers.iterate import Direction, Iterate
 from mjslq.solvers.merit import Merit
-from mjslq.solvers.method import Step
+from mjslq.solvers.method import Method, Step
 from mjslq.solvers.steps import LineSearch
 from mjslq.validation import Array
 
@@ -57,10 +57,8 @@ LEAST_SHARE = 1e-3
 """Share of the curvature below which none is kept."""
 
 
-class Newton:
-    """The method, with its multiplier; see `solvers.method.Method`."""
-
-    tests_direction = True
+class Newton(Method):
+    """The method, with its multiplier."""
 
     def __init__(self, options: NewtonOptions) -> None:
         self.options = options
@@ -86,10 +84,6 @@ class Newton:
             return step
         rescued = self.damping.rescue(here, self._model[1], self.options.step, merit)
         return Step(rescued.iterate, rescued.alpha, step.rollouts + rescued.rollouts)
-
-    def remark(self) -> str:
-        """Nothing."""
-        return ""
 
 
 def costates_ahead(here: Iterate) -> Array:

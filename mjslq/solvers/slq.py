@@ -19,14 +19,12 @@ from mjslq.options import SLQOptions
 from mjslq.solvers.damping import Damping
 from mjslq.solvers.iterate import Direction, Iterate
 from mjslq.solvers.merit import Merit
-from mjslq.solvers.method import Step
+from mjslq.solvers.method import Method, Step
 from mjslq.solvers.steps import LineSearch
 
 
-class SLQ:
-    """The method, with its multiplier; see `solvers.method.Method`."""
-
-    tests_direction = True
+class SLQ(Method):
+    """The method, with its multiplier."""
 
     def __init__(self, options: SLQOptions) -> None:
         self.options = options
@@ -48,7 +46,3 @@ class SLQ:
             rescued = self.damping.rescue(here, here.gauss_newton, self.options.step, merit)
             return Step(rescued.iterate, rescued.alpha, step.rollouts + rescued.rollouts)
         return step
-
-    def remark(self) -> str:
-        """Nothing."""
-        return ""

@@ -35,7 +35,7 @@ from mjslq.options import TrustRegionOptions
 from mjslq.solvers.iterate import Direction, Iterate
 from mjslq.solvers.linesearch import ROUNDOFF, in_roundoff
 from mjslq.solvers.merit import Merit
-from mjslq.solvers.method import Step
+from mjslq.solvers.method import Method, Step
 from mjslq.solvers.steps import candidates
 
 HOPELESS = -1e9
@@ -44,10 +44,8 @@ SMALLEST = 1e-14
 """Radius, relative to the norm of the controls, below which there is no going on."""
 
 
-class TrustRegion:
-    """The method, with its radius; see `solvers.method.Method`."""
-
-    tests_direction = True
+class TrustRegion(Method):
+    """The method, with its radius."""
 
     def __init__(self, options: TrustRegionOptions) -> None:
         self.options = options
@@ -75,10 +73,6 @@ class TrustRegion:
         if self.radius < SMALLEST * max(size, 1e-6):
             return Step(None, 0.0, 1, ratio)
         return Step(here, 0.0, 1, ratio, rejected=True)
-
-    def remark(self) -> str:
-        """Nothing."""
-        return ""
 
 
 def _ratio(here: Iterate, there: Iterate, expected: float) -> float:
