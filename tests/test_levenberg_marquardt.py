@@ -4,34 +4,24 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from lq_problems import response
+from small_problems import pendulum
 
-from mjslq import FunctionDynamics, Problem, Status, costs, problems, solve
-from mjslq.lq.riccati import LQProblem
+from mjslq import Status, problems, solve
+from mjslq.lq.box import Box
+from mjslq.lq.problem import LQProblem
+from mjslq.options import SLQOptions
 from mjslq.problems.drag_particle import OPTIMAL_COSTS
 from mjslq.solvers.damping import GROW, SHRINK, Damping
-from mjslq.solvers.iterate import Direction, Iterate
-from mjslq.solvers.loop import Accepted
-
-PENDULUM = FunctionDynamics(lambda x, u: np.stack([x[1], u[0] - 9.81 * np.sin(x[0]) - 0.1 * x[1]]), 2, 1, 0.05)
-
-
-def pendulum():
-    terms = [costs.Control(0.1), costs.State([200.0, 20.0], [2.0, 0.0], "terminal")]
-    return Problem(PENDULUM, 40, [0.0, 0.0], terms, name="pendulum")
+from mjslq.solvers.iterate import LIMITING, Iterate
+from mjslq.solvers.merit import CostAndGaps
+from mjslq.solvers.method import Step
+from mjslq.solvers.slq import SLQ
 
 
 def start():
     problem = pendulum()
     return Iterate(problem, problem.rollout(problem.U0))
-
-
-def sensitivity(A, B):
-    N, nx, nu = B.shape
-    S = np.zeros((N + 1, nx, N * nu))
-    for n in range(N):
-        S[n + 1] = A[n] @ S[n]
-        S[n + 1][:, n * nu : (n + 1) * nu] += B[n]
-    return S.reshape((N + 1) * nx, N * nu)
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-3, 1.0, 100.0]))
@@ -44,7 +34,8 @@ def test_the_damped_direction_is_marquardts(seed, mu):
         R @ R.swapaxes(1, 2) + np.eye(nu), np.zeros((N, nu, nx)), rng.standard_normal((N + 1, nx)),
         rng.standard_normal((N, nu)), np.zeros((N, nx)),
     )  # fmt: skip
-    S, here = sensitivity(model.A, model.B), start()
+    S = response(model.A, model.B, model.c)[0].reshape((N + 1) * nx, N * nu)
+    free = Box(np.full((N, nu), -np.inf), np.full((N, nu), np.inf))
     H = np.kron(np.eye(N), np.zeros((nu, nu)))
     for n in range(N):
         H[n * nu : (n + 1) * nu, n * nu : (n + 1) * nu] = model.R[n]
@@ -53,11 +44,16 @@ def test_the_damped_direction_is_marquardts(seed, mu):
         H += rows.T @ model.Q[n] @ rows
     g = model.r.ravel() + S.T @ model.q.ravel()
     for kind, weight, penalty in (("control", model.R, np.eye(N * nu)), ("state", model.Q, S.T @ S)):
-        direction = Damping(here, "open-loop", kind, mu).direction(model)
+        direction = Damping(kind, mu).direction(model, free)
         scaled = mu * np.abs(weight).max()
-        assert direction.multiplier == pytest.approx(scaled) and direction.limited
+        assert direction.multiplier == pytest.approx(scaled)
         dense = np.linalg.solve(H + scaled * penalty, -g)
         np.testing.assert_allclose(direction.U.ravel(), dense, rtol=1e-7, atol=1e-9 * np.abs(dense).max())
+        share = scaled * (dense @ penalty @ dense) / abs(g @ dense)  # of the curvature along the direction
+        if abs(share - LIMITING) > 1e-6:
+            assert direction.limited == (share > LIMITING)
+        assert direction.expected == pytest.approx(g @ dense + 0.5 * dense @ H @ dense, rel=1e-8)
+        assert direction.expected < 0.0
 
 
 @pytest.mark.parametrize("step", ["open-loop", "closed-loop"])
@@ -85,40 +81,58 @@ def test_drag_at_beta_1(kind):
     "alpha, factor", [(1.0, 1.0 / SHRINK), (0.5, 1.0 / SHRINK), (0.3, 1.0), (0.25, GROW), (0.01, GROW)]
 )
 def test_schedule(alpha, factor):
-    here = start()
-    damping = Damping(here, "auto", "control", 0.1)
-    advance = damping.guard(lambda here, ahead: (Accepted(alpha, here), 3), lambda here: here.gauss_newton)
-    accepted, spent = advance(here, damping.direction(here.gauss_newton))
-    assert accepted.alpha == alpha and spent == 3
+    damping = Damping("control", 0.1)
+    damping.adapt(Step(start(), alpha, 3))
     assert damping.mu == pytest.approx(0.1 * factor)
 
 
 def test_a_small_multiplier_is_dropped():
-    here = start()
-    damping = Damping(here, "auto", "state", 2e-7)
-    advance = damping.guard(lambda here, ahead: (Accepted(1.0, here), 1), lambda here: here.gauss_newton)
-    advance(here, damping.direction(here.gauss_newton))
-    assert damping.mu == 0.0 and not damping.direction(here.gauss_newton).limited
-
-
-def test_remedy_when_the_line_search_fails():
-    """Without any multiplier asked for: full steps with growing ones, until the cost falls enough."""
-    here = start()
-    damping = Damping(here, "auto", None)
+    here, damping = start(), Damping("state", 2e-7)
+    assert damping.direction(here.gauss_newton, here.box).multiplier > 0.0
+    damping.adapt(Step(here, 1.0, 1))
     assert damping.mu == 0.0
-    advance = damping.guard(lambda here, ahead: (None, 7), lambda here: here.gauss_newton)
-    accepted, spent = advance(here, damping.direction(here.gauss_newton))
-    assert accepted is not None and spent > 7 and damping.mu > 0.0
-    assert accepted.alpha == 1.0 and accepted.iterate.cost < here.cost
+    direction = damping.direction(here.gauss_newton, here.box)
+    assert direction.multiplier == 0.0 and not direction.limited
 
 
-def test_the_remedy_gives_up_where_nothing_descends():
-    here = start()
+def test_a_short_step_without_multiplier_brings_none():
+    damping = Damping()
+    damping.adapt(Step(start(), 0.01, 3))
+    assert damping.mu == 0.0
+
+
+@pytest.mark.parametrize("kind", ["open-loop", "closed-loop"])
+def test_rescue_when_the_line_search_fails(kind):
+    """Without any multiplier asked for: full steps with growing ones, until the cost falls enough."""
+    here, damping = start(), Damping()
+    rescued = damping.rescue(here, here.gauss_newton, kind, CostAndGaps())
+    assert rescued.iterate is not None and rescued.rollouts > 0 and damping.mu > 0.0
+    assert rescued.alpha == 1.0 and rescued.iterate.cost < here.cost
+
+
+def test_the_rescue_gives_up_where_nothing_descends():
+    here, damping = start(), Damping()
     uphill = here.gauss_newton._replace(q=-here.gauss_newton.q, r=-here.gauss_newton.r)
-    damping = Damping(here, "auto", None)
-    advance = damping.guard(lambda here, ahead: (None, 0), lambda here: uphill)
-    accepted, spent = advance(here, Direction(*[np.zeros((40, 1))] * 3))
-    assert accepted is None and 0 < spent < 40
+    rescued = damping.rescue(here, uphill, "closed-loop", CostAndGaps())
+    assert rescued.iterate is None and 0 < rescued.rollouts < 40
+
+
+def test_the_method_rescues_a_failed_search_unless_told_otherwise(monkeypatch):
+    """The rollouts of both are counted, and the method says nothing of a step where there is none."""
+    here, merit = start(), CostAndGaps()
+    for rescue in (True, False):
+        method = SLQ(SLQOptions(rescue=rescue))
+        ahead = method.direction(here)
+        monkeypatch.setattr(method, "search", lambda here, ahead, merit: Step(None, rollouts=7))
+        step = method.step(here, ahead, merit)
+        assert (step.iterate is not None) == rescue == (method.damping.mu > 0.0)
+        assert step.rollouts > 7 if rescue else step.rollouts == 7
+
+
+@pytest.mark.parametrize("kind", [None, "control", "state"])
+def test_the_multiplier_of_the_options_is_the_one_to_start_with(kind):
+    method = SLQ(SLQOptions(multiplier=kind, damping=0.5))
+    assert method.damping.mu == (0.5 if kind else 0.0) and method.damping.by == (kind or "control")
 
 
 def test_without_multiplier_nothing_changes_where_the_search_succeeds():

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from small_problems import DOUBLE_INTEGRATOR, PENDULUM, drag, linear, pendulum
 
 from mjslq import FunctionDynamics, Problem, Status, costs, problems, solve
-from mjslq.problems.drag_particle import OPTIMAL_COSTS
 from mjslq.options import SLQOptions
+from mjslq.problems.drag_particle import OPTIMAL_COSTS
 from mjslq.problems.hopper import phases
 from mjslq.solvers.iterate import Iterate
 from mjslq.solvers.linesearch import SEARCHES

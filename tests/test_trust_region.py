@@ -109,10 +109,14 @@ def test_table_1():
         assert ours[4] == paper[4]  # the radii
         assert (ours[3] > 0.25) == (paper[3] > 0.25)  # accepted or rejected
         assert ours[0] == pytest.approx(paper[0], rel=0.017)
-    assert result.status is Status.CONVERGED and len(result.log) - 1 <= 12
+    assert result.status is Status.CONVERGED and len(result.log) - 1 == 9  # 12 in the paper
+    assert result.iterations == 7
     assert result.cost == pytest.approx(OPTIMAL_COST, abs=1e-6)
     assert result.gradient_norm / np.sqrt(0.05) < 1e-8
     assert [entry.alpha for entry in result.log[:6]] == [1.0, 0.0, 1.0, 0.0, 1.0, 1.0]
+    decisions = ["accepted", "rejected", "accepted", "rejected"] + 5 * ["accepted"] + ["final"]
+    assert [entry.outcome for entry in result.log] == decisions
+    assert [entry.iteration for entry in result.log] == [0, 1, 1, 2, 2, 3, 4, 5, 6, 7]
 
 
 def test_van_der_pol_is_the_problem_of_the_paper():
@@ -162,7 +166,9 @@ def test_the_cost_never_rises_and_the_radius_follows_its_rule():
     for entry, following in zip(result.log, result.log[1:], strict=False):
         factor = 0.5 if entry.ratio < 0.1 else 3.0 if entry.ratio >= 0.9 else 1.0
         assert following.radius == pytest.approx(factor * entry.radius)
-        assert (entry.alpha == 1.0) == (entry.ratio >= 0.1)
+        assert (entry.alpha == 1.0) == (entry.ratio >= 0.1) == (entry.outcome == "accepted")
+        if entry.outcome == "rejected":
+            assert (following.iteration, following.cost) == (entry.iteration, entry.cost)
         assert entry.direction_norm * np.sqrt(0.01) <= entry.radius * (1.0 + 1e-6)
 
 
