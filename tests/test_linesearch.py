@@ -9,22 +9,24 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from mjslq.solvers import linesearch as linesearch
+from mjslq.solvers.merit import CostAndGaps
 from mjslq.solvers.linesearch import C1, C1_GOLDSTEIN, C2, ROUNDOFF, SEARCHES, Trial, search
 
 NAMES = sorted(SEARCHES)
 
 
-def trial_of(phi, slope, *, derivative=None, gradient_norm=lambda alpha: abs(alpha - 1.0), at_once=1):
-    """A step along which the cost is phi(alpha)."""
+def trial_of(phi, slope, *, derivative=None, gradient_norm=lambda alpha: abs(alpha - 1.0), at_once=1, expected=None):
+    """A step along which the cost is phi(alpha); the model expects of a full one half of what its slope promises."""
     calls = []
 
     def step(alphas):
         calls.extend(alphas)
-        return [SimpleNamespace(cost=phi(alpha), gradient_norm=gradient_norm(alpha)) for alpha in alphas]
+        return [SimpleNamespace(cost=phi(alpha), gaps=None, gradient_norm=gradient_norm(alpha)) for alpha in alphas]
 
-    here = SimpleNamespace(cost=phi(0.0), gradient_norm=gradient_norm(0.0))
+    here = SimpleNamespace(cost=phi(0.0), gaps=None, gradient_norm=gradient_norm(0.0))
     slope_at = None if derivative is None else lambda there, alpha: derivative(alpha)
-    trial = Trial(here, slope, step, slope_at, at_once)
+    expected = 0.5 * slope if expected is None else expected
+    trial = Trial(CostAndGaps(), here, slope, expected, step, slope_at, at_once)
     trial.calls = calls
     return trial
 
@@ -144,6 +146,15 @@ def test_quadratic_fit_takes_a_full_step_that_keeps_its_promise(minimum):
     assert trial.evaluations == 1
 
 
+def test_quadratic_fit_asks_the_model_what_to_expect():
+    """A damped direction's model expects more or less than half of the slope; the full step is held against that."""
+    phi, slope = (lambda a: -a + 0.2 * a * a), -1.0
+    told = trial_of(phi, slope, expected=-0.8)
+    assert search("quadratic-fit", told).alpha == 1.0 and told.evaluations == 1
+    untold = trial_of(phi, slope)
+    assert search("quadratic-fit", untold).alpha == 1.0 and untold.evaluations > 1
+
+
 def test_quadratic_fit_goes_no_further_than_1():
     assert search("quadratic-fit", trial_of(lambda a: (a - 5.0) ** 2, -10.0)).alpha == 1.0
     assert search("quadratic-fit", trial_of(lambda a: -a - a * a, -1.0)).alpha == 1.0  # no minimum at all
@@ -188,11 +199,13 @@ def test_every_step_tried_is_counted_once(name):
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("at_once", [2, 4, 16])
-def test_candidates_tried_side_by_side_change_no_step(name, at_once):
-    """Looking ahead on several threads finds the step that one thread finds."""
+def test_candidates_tried_side_by_side_change_neither_step_nor_count(name, at_once):
+    """Looking ahead on several threads finds the step that one thread finds, and counts what one thread counts."""
     for phi, slope in ((lambda a: (a - 0.2) ** 2, -0.4), (lambda a: 1.0 + (a - 1.0) ** 2, -2.0), (lambda a: -a, -1.0)):
-        alone, together = (search(name, trial_of(phi, slope, at_once=k)) for k in (1, at_once))
+        first, second = (trial_of(phi, slope, at_once=k) for k in (1, at_once))
+        alone, together = search(name, first), search(name, second)
         assert together.alpha == alone.alpha
+        assert second.evaluations == first.evaluations
 
 
 # The roundoff rule

@@ -4,13 +4,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from small_problems import pendulum
 
 from mjslq import FunctionDynamics, MujocoDynamics, Problem, Status, costs, problems, solve
+from mjslq.options import SLQOptions, Stopping
 from mjslq.problems.drag_particle import BETAS, OPTIMAL_COSTS
-from mjslq.solvers.shooting import Guess, close_gaps
+from mjslq.solvers.interrupts import Interrupts
+from mjslq.solvers.iterate import Iterate
+from mjslq.solvers.loop import descend
+from mjslq.solvers.merit import CostAndGaps
+from mjslq.solvers.monitor import Monitor
+from mjslq.solvers.slq import SLQ
+from mjslq.solvers.steps import close_gaps
 
 METHODS = ["newton", "slq"]
-PENDULUM = FunctionDynamics(lambda x, u: np.stack([x[1], u[0] - 9.81 * np.sin(x[0]) - 0.1 * x[1]]), 2, 1, 0.05)
 ARM = """
 <mujoco><option timestep="0.02"/><worldbody><body><joint name="b" type="ball" damping=".3"/>
 <geom type="capsule" fromto="0 0 0 .3 .1 -.4" size=".05" mass="1"/>
@@ -19,11 +26,6 @@ ARM = """
 </worldbody><actuator><motor joint="b" gear="1 0 0"/><motor joint="b" gear="0 1 0"/><motor joint="b" gear="0 0 1"/>
 <motor joint="h"/></actuator><sensor><framepos name="tip" objtype="site" objname="tip"/></sensor></mujoco>
 """
-
-
-def pendulum():
-    terms = [costs.Control(0.1), costs.State([200.0, 20.0], [2.0, 0.0], "terminal")]
-    return Problem(PENDULUM, 40, [0.0, 0.0], terms, name="pendulum")
 
 
 def swing(goal=3.0, N=40):
@@ -86,7 +88,7 @@ def test_states_on_a_manifold(method):
     X0 = np.tile(problem.x0, (26, 1))
     tilt = np.linspace(0.0, 0.4, 26)
     X0[:, 0], X0[:, 2], X0[:, 4] = np.cos(tilt), np.sin(tilt), tilt
-    guess = Guess(problem, X0, np.zeros((25, 4)))
+    guess = Iterate.guess(problem, X0, np.zeros((25, 4)))
     assert guess.gap > 0.01
     result = solve(problem, method, X0=X0, tol=0.0, tol_gradient=1e-5)
     assert result.status is Status.CONVERGED, result.message
@@ -120,22 +122,22 @@ def test_the_model_of_a_guess_holds_to_second_order():
     problem, rng = pendulum(), np.random.default_rng(0)
     X, U = swing(), rng.standard_normal((40, 1))
     X[0] = problem.x0
-    here, dX, dU = Guess(problem, X, U), rng.standard_normal(X.shape), rng.standard_normal(U.shape)
+    here, dX, dU = Iterate.guess(problem, X, U), rng.standard_normal(X.shape), rng.standard_normal(U.shape)
     dX[0] = 0.0
     A, B, _, _, _, q, r, c = here.gauss_newton
     np.testing.assert_array_equal(c, here.gaps)
     e = 1e-5
-    beyond, before = (Guess(problem, X + s * e * dX, U + s * e * dU) for s in (1.0, -1.0))
+    beyond, before = (Iterate.guess(problem, X + s * e * dX, U + s * e * dU) for s in (1.0, -1.0))
     assert (beyond.cost - before.cost) / (2 * e) == pytest.approx(np.vdot(q, dX) + np.vdot(r, dU), rel=1e-7)
     gaps = np.einsum("nij,nj->ni", A, dX[:-1]) + np.einsum("nij,nj->ni", B, dU) - dX[1:]
     np.testing.assert_allclose((beyond.gaps - before.gaps) / (2 * e), gaps, atol=1e-7)
     costates = rng.standard_normal((41, 2))
 
     def lagrangian(s):
-        there = Guess(problem, X + s * dX, U + s * dU)
+        there = Iterate.guess(problem, X + s * dX, U + s * dU)
         return there.cost + np.vdot(costates[1:], there.gaps)
 
-    model, e = here.newton(costates), 1e-3
+    model, e = here.hamiltonian(costates), 1e-3
     curvature = np.einsum("ni,nij,nj", dX, model.Q, dX) + np.einsum("ni,nij,nj", dU, model.R, dU)
     curvature += 2.0 * np.einsum("ni,nij,nj", dU, model.M, dX[:-1])
     assert (lagrangian(e) - 2.0 * lagrangian(0.0) + lagrangian(-e)) / e**2 == pytest.approx(curvature, rel=1e-5)
@@ -210,11 +212,75 @@ def test_wrong_guesses_are_refused_in_one_sentence(method, X0, sentence):
     assert "\n" not in str(caught.value)
 
 
-def test_closing_gaps_by_itself():
-    from mjslq.solvers.loop import Monitor, Stopping
+def open_guess(problem):
+    return Iterate.guess(problem, np.vstack([problem.x0, swing()[1:]]), np.zeros((problem.horizon, 1)))
 
+
+def test_closing_gaps_by_itself():
+    """The merit falls along every direction and with every step, until a rollout takes over."""
+    problem, method, merit = pendulum(), SLQ(SLQOptions()), CostAndGaps()
+    here = open_guess(problem)
+    merits, gaps = [], [here.gap]
+    while here.gaps is not None:
+        direction = method.direction(here)
+        merit.update(here, direction)
+        assert merit.slope(here, direction) < 0.0 and direction.K.any()
+        e = 1e-6  # the slope is that of the merit along the step
+        beyond = Iterate.guess(
+            problem, here.trajectory.X + e * direction.X, here.trajectory.U + e * direction.U
+        )
+        slope = (merit.value(beyond) - merit.value(here)) / e
+        assert slope == pytest.approx(merit.slope(here, direction), rel=1e-3)
+        step = close_gaps(here, direction, merit)
+        assert merit.value(step.iterate) < merit.value(here) or step.iterate.gaps is None
+        merits.append(merit.value(here))
+        here = step.iterate
+        gaps.append(here.gap)
+        assert len(gaps) < 30
+    assert gaps[-1] == 0.0 and gaps[-2] < 0.3 * gaps[0]
+
+
+def test_the_loop_takes_a_guess_as_it_takes_a_rollout():
     problem, monitor = pendulum(), Monitor()
-    closed = close_gaps(problem, np.vstack([problem.x0, swing()[1:]]), np.zeros((40, 1)), Stopping(), monitor, True)
-    assert closed.status is None and closed.gains.any()
+    with Interrupts() as interrupts:
+        outcome = descend(open_guess(problem), SLQ(SLQOptions()), Stopping(), monitor, interrupts)
+    assert outcome.status is Status.CONVERGED and outcome.gains.any() and outcome.iterate.gaps is None
     gaps = [entry.gap for entry in monitor.log]
-    assert gaps[-1] < 0.3 * gaps[0] and all(entry.slope < 0.0 for entry in monitor.log)
+    assert gaps[0] > 0.0 == gaps[-1] and all(entry.slope < 0.0 for entry in monitor.log[:-1])
+
+
+def test_a_rollout_has_no_gaps_and_a_guess_along_it_none_worth_the_name():
+    problem = pendulum()
+    trajectory = problem.rollout(np.full((40, 1), 0.3))
+    assert Iterate(problem, trajectory).gaps is None and Iterate(problem, trajectory).gap == 0.0
+    along = Iterate.guess(problem, np.array(trajectory.X), np.array(trajectory.U))
+    assert along.gap < 1e-12 and along.closed and along.cost == Iterate(problem, trajectory).cost
+
+
+def test_stationarity_of_a_guess_is_that_of_its_lagrangian():
+    """At a minimum the costates of the sweep make the derivative by the controls vanish, and by the states, too."""
+    problem = pendulum()
+    optimum = solve(problem, tol=0.0, tol_gradient=1e-9, max_iterations=1000).trajectory
+    here = Iterate.guess(problem, np.array(optimum.X), np.array(optimum.U))
+    direction = SLQ(SLQOptions()).direction(here)
+    assert here.stationarity(direction) < 1e-7
+    far = open_guess(problem)
+    assert far.stationarity(SLQ(SLQOptions()).direction(far)) > 1e-3
+
+
+def test_no_rollout_is_made_and_thrown_away(monkeypatch):
+    """A guess of the states needs single steps only, until its gaps are nearly closed."""
+    problem, order = pendulum(), []
+    engine = type(problem.dynamics)
+    for name in ("rollouts", "advance"):
+        original = getattr(engine, name)
+
+        def counted(self, *args, name=name, original=original, **more):
+            order.append(name)
+            return original(self, *args, **more)
+
+        monkeypatch.setattr(engine, name, counted)
+    assert solve(problem, "newton", X0=swing()).success
+    assert order[0] == "advance" and "rollouts" in order
+    first = order.index("rollouts")
+    assert order[:first].count("advance") > 1

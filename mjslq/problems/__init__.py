@@ -23,6 +23,9 @@ _CATALOGUE = {
     "g1_reach": "the humanoid G1 reaches for a point, standing on both feet",
     "hopper": "a gas-actuated hopping machine that reaches a height (Sideris and Bobrow 2005, section 4.2)",
     "van_der_pol": "a Van der Pol oscillator brought to rest (Fukushima and Yamamoto 1986, section IV)",
+    "cart_pole": "a pole on a cart swings up, the force limited",
+    "double_pendulum": "a double pendulum swings up by two limited motors",
+    "acrobot": "a double pendulum swings up by one motor in its elbow",
     "panda_reach": "a seven-joint arm that reaches for a point, on MuJoCo or Pinocchio",
 }
 

@@ -1,0 +1,47 @@
+"""Parts of the swing-ups: a model of the assets whose motors get limits, hanging first and upright in the end.
+
+    J = h sum_n 1/2 effort |u_n|^2 + 1/2 |x_N|^2_W,    x = 0 upright at rest
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjslq.costs import Control, State
+from mjslq.dynamics.mujoco import MujocoDynamics
+from mjslq.problems.models import asset_path
+from mjslq.problem import Problem
+from mjslq.trajectory import Trajectory
+from mjslq.validation import count, positive
+
+
+def swing_up(
+    name: str, limits: dict[str, float], weights: list[float], horizon: int, duration: float, effort: float
+) -> Problem:
+    """The swing-up of assets/`name`.xml; `limits` by the motor's name, 0 for none."""
+    import mujoco
+
+    N = count("horizon", horizon)
+    spec = mujoco.MjSpec.from_file(str(asset(f"{name}.xml")))
+    spec.option.timestep = positive("duration", duration) / N
+    for motor, limit in limits.items():
+        actuator = spec.actuator(motor)
+        actuator.ctrllimited = bool(limit)
+        if limit:
+            actuator.ctrlrange = np.array([-1.0, 1.0]) * positive("limit", limit)
+    dynamics = MujocoDynamics.from_spec(spec)
+    upright = dynamics.keyframe("upright")
+    return Problem(
+        dynamics=dynamics,
+        horizon=N,
+        x0=dynamics.keyframe("hanging"),
+        costs=[Control(positive("effort", effort)), State(weights, upright, when="terminal")],
+        name=name,
+        describe=lambda trajectory: describe(trajectory, dynamics.nv),
+    )
+
+
+def describe(trajectory: Trajectory, nv: int) -> dict[str, str]:
+    """How far from upright and at rest the motion ends."""
+    x = trajectory.X[-1]
+    return {"end": f"{np.abs(x[:nv]).max():.3f} rad or m from upright, speed {np.abs(x[nv:]).max():.3f} rad/s or m/s"}
