@@ -56,7 +56,7 @@ class Guess:
     def __init__(self, problem: Problem, X: Array, U: Array) -> None:
         dynamics = problem.dynamics
         self.problem = problem
-        self.ends, Y = dynamics.advance(X, U)
+        self.ends, Y = dynamics.step_each(X, U)
         self.finite = bool(np.isfinite(self.ends).all() and np.isfinite(Y).all())
         self.trajectory = Trajectory(X, U, Y if self.finite else np.zeros((0, 0)), dynamics.dt)
         self.gaps = dynamics.difference(X[1:], self.ends) if self.finite else np.full((len(U), dynamics.ndx), np.inf)
