@@ -192,7 +192,7 @@ def _one_step(problem: Problem, x: Array, u: Array) -> tuple[Array, Array]:
     """Change of the state over the first step from (x, u), and its derivative by u. Shapes (ndx,), (ndx, nu)."""
     dynamics, N = problem.dynamics, problem.horizon
     X, U = np.tile(x, (N + 1, 1)), np.tile(u, (N, 1))  # engines may have steps of differing lengths
-    ends, _ = dynamics.advance(X, U)
+    ends, _ = dynamics.step_each(X, U)
     if not np.isfinite(ends[0]).all():
         return np.full(dynamics.ndx, np.nan), np.zeros((dynamics.ndx, dynamics.nu))
     return dynamics.difference(x, ends[0]), dynamics.linearize_steps(X, U, ends).B[0]

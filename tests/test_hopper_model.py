@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from mjslq.dynamics.mujoco import MujocoDynamics
-from mjslq.dynamics.mujoco.models import asset_path, drag_spec, hopper_spec
+from mjslq.problems.assets import asset_path
+from mjslq.problems.drag_particle import drag_spec
+from mjslq.problems.hopper import hopper_spec
 
 
 def spring(e, k, alpha):

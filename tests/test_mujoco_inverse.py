@@ -12,7 +12,8 @@ from mjslq.dynamics.derivative_check import compare_jacobians, fine_reference
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.dynamics.mujoco.inverse.readings.outputs import sensors
 from mjslq.dynamics.mujoco.inverse.table import columns as columns
-from mjslq.dynamics.mujoco.models import drag_spec, hopper_spec
+from mjslq.problems.drag_particle import drag_spec
+from mjslq.problems.hopper import hopper_spec
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
 
@@ -264,7 +265,7 @@ def test_contacts_within_one_tree(hands, integrator, cone, condim):
     dynamics = dynamics_of(models.clasp(hands, integrator, cone, condim))
     trajectory = some_trajectory(dynamics, spread=0.0, speed=0.1, scale=0.1)
     dynamics.linearize(trajectory)
-    assert dynamics._horizon._data[0].nefc > 0
+    assert dynamics.simulator.data[0].nefc > 0
     if hands != "boxes":
         assert_exact(dynamics, trajectory, eps=1e-6)
         return

@@ -15,7 +15,7 @@ from mjslq.dynamics.derivative_check import compare_jacobians, fine_reference
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.dynamics.mujoco.inverse.cover import refusals
 from mjslq.dynamics.mujoco.inverse.forces.muscles import muscle_bias, muscle_gain, muscle_rate
-from mjslq.dynamics.mujoco.inverse.forces.remainder import remainder
+from mjslq.dynamics.mujoco.inverse.forces.unmodelled_forces import unmodelled_forces
 from mjslq.dynamics.mujoco.inverse.readings.outputs import sensors
 from mjslq.dynamics.mujoco.inverse.table import columns
 from mjslq.dynamics.mujoco.inverse.table.actuator_plan import actuator_table
@@ -41,8 +41,8 @@ def assert_better_than_transition(dynamics: MujocoDynamics, trajectory: Trajecto
 @pytest.mark.parametrize("case", models.CLOSED)
 def test_closed_forms(case, integrator):
     dynamics = dynamics_of(models.chain(integrator, **models.CLOSED[case]))
-    rest = remainder(dynamics.model)
-    assert not (rest.exists or rest.slack.any() or rest.swinging.any())
+    rest = unmodelled_forces(dynamics.model)
+    assert not (rest.exists or rest.moving_arm_tendons.any() or rest.moving_arm_actuators.any())
     trajectory = trajectory_of(dynamics)
     assert_exact(dynamics, trajectory, tolerance=1e-8)
     assert_better_than_transition(dynamics, trajectory)
@@ -52,8 +52,8 @@ def test_closed_forms(case, integrator):
 @pytest.mark.parametrize("case", models.ARMS)
 def test_moving_moment_arms(case, integrator):
     dynamics = dynamics_of(models.chain(integrator, **models.ARMS[case]))
-    rest = remainder(dynamics.model)
-    assert not rest.exists and (rest.slack.any() or rest.swinging.any() or "branches" in case)
+    rest = unmodelled_forces(dynamics.model)
+    assert not rest.exists and (rest.moving_arm_tendons.any() or rest.moving_arm_actuators.any() or "branches" in case)
     trajectory = trajectory_of(dynamics)
     assert_exact(dynamics, trajectory, tolerance=2e-8)
     assert_better_than_transition(dynamics, trajectory)
@@ -63,7 +63,7 @@ def test_moving_moment_arms(case, integrator):
 @pytest.mark.parametrize("case", models.REST)
 def test_differences_of_their_own_forces(case, integrator):
     dynamics = dynamics_of(models.chain(integrator, **models.REST[case]))
-    assert remainder(dynamics.model).exists
+    assert unmodelled_forces(dynamics.model).exists
     trajectory = trajectory_of(dynamics)
     assert_exact(dynamics, trajectory, tolerance=2e-8)
     assert_better_than_transition(dynamics, trajectory)
@@ -75,7 +75,7 @@ def test_beside_contacts_and_with_tendons_as_constraints(integrator, cone):
     dynamics = dynamics_of(models.tied(integrator, cone))
     trajectory = some_trajectory(dynamics, spread=0.0, speed=0.1, base=np.array([0.5, 0.1, 0.0]), scale=0.05, settle=30)
     dynamics.linearize(trajectory)
-    data = dynamics._horizon._data[0]
+    data = dynamics.simulator.data[0]
     kinds = set(data.efc_type.tolist())
     assert data.ncon and {int(mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON), 2} <= kinds
     assert_exact(dynamics, trajectory, tolerance=1e-6, eps=1e-6)

@@ -47,7 +47,7 @@ def check_feasible(problem, result):
     """Every step ends where the next begins, to rounding; and from the problem's own start."""
     X, U = result.trajectory.X, result.trajectory.U
     np.testing.assert_array_equal(X[0], problem.x0)
-    ends, _ = problem.dynamics.advance(X, U)
+    ends, _ = problem.dynamics.step_each(X, U)
     assert np.abs(problem.dynamics.difference(X[1:], ends)).max() <= 1e-11 * max(1.0, np.abs(X).max())
     assert result.cost == problem.cost(result.trajectory)
 

@@ -1,5 +1,9 @@
 """The Panda reach on both engines: one problem, one solution."""
 
+import subprocess
+import sys
+import textwrap
+
 import numpy as np
 import pytest
 
@@ -74,3 +78,14 @@ def test_saved_results_can_be_looked_at(problem, tmp_path):
 def test_refusals(values, said):
     with pytest.raises(ValueError, match=said):
         mjslq.problems.get("panda_reach", **values)
+
+
+def test_the_mujoco_engine_needs_no_pinocchio():
+    code = """
+        import sys
+        from mjslq import problems
+        problem = problems.get("panda_reach", horizon=3)
+        problem.dynamics.rollout(problem.x0, problem.U0)
+        sys.exit("pinocchio" in sys.modules)
+    """
+    assert subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=False).returncode == 0

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 import mjslq
-from mjslq.dynamics.pinocchio.models import lock_spec
+from mjslq.dynamics.locked_joints import lock_spec
 from mjslq.robots import robot_path, robot_spec
 
 FINGERS = ("panda_finger_joint1", "panda_finger_joint2")

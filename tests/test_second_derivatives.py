@@ -125,7 +125,7 @@ def test_steps_apart_from_each_other():
     rng = np.random.default_rng(3)
     origin = np.tile(np.array([1.0, 0, 0, 0, 0, 0, 0, 0, 0]), (7, 1))
     X, U = dynamics.integrate(origin, rng.standard_normal((7, 8))), rng.standard_normal((6, 3))
-    F, Y = dynamics.advance(X, U)
+    F, Y = dynamics.step_each(X, U)
     together = dynamics.linearize_steps(X, U, F)
     for n in range(6):
         one = dynamics.rollout(X[n], U[n : n + 1])
@@ -140,7 +140,7 @@ def test_steps_of_functions_apart_from_each_other(f):
     dynamics = FunctionDynamics(f, 3, 2, 0.1, outputs=outputs)
     rng = np.random.default_rng(3)
     X, U = rng.standard_normal((6, 3)), rng.standard_normal((5, 2))
-    F, Y = dynamics.advance(X, U)
+    F, Y = dynamics.step_each(X, U)
     for n in range(5):
         forward, output = dynamics.step(X[n], U[n], n)
         np.testing.assert_allclose(F[n], forward, rtol=1e-12)

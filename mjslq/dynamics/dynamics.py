@@ -129,7 +129,7 @@ class Dynamics(ABC):
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step of `trajectory`."""
 
-    def advance(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
+    def step_each(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
         """One step from each knot, the knots being independent of each other, as a state guess has them.
 
         Takes states (N + 1, nx) and controls (N, nu); returns the states f_n(x_n, u_n) that follow (N, nx), NaN

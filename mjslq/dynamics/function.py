@@ -142,7 +142,7 @@ class FunctionDynamics(Dynamics):
         """One step in plain Python; see `Dynamics.step`."""
         times, steps = self._grid(n + 1)
         function = self._f.py_func if isinstance(self._f, Dispatcher) else self._f
-        forward = kernels.advance(function, self._code, self._nv, x, u, times[n], steps[n], self.parameters)
+        forward = kernels.next_state(function, self._code, self._nv, x, u, times[n], steps[n], self.parameters)
         return as_array("next state", forward, finite=False), self._read(x, u, float(times[n]))
 
     def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None = None) -> list[Trajectory]:
@@ -177,12 +177,12 @@ class FunctionDynamics(Dynamics):
                 differentiate(*self._arguments(N), X, U, A, B)
         return Linearization(A, B, *self._linearize_outputs(X, U))
 
-    def advance(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
-        """One step from each knot; see `Dynamics.advance`."""
+    def step_each(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
+        """One step from each knot; see `Dynamics.step_each`."""
         states, controls = np.ascontiguousarray(X, dtype=np.float64), self.checked_controls(U)
         F = np.empty((len(controls), self.nx))
         with np.errstate(all="ignore"):
-            self._kernel(kernels.advance_all)(*self._arguments(len(controls)), states, controls, F)
+            self._kernel(kernels.step_each)(*self._arguments(len(controls)), states, controls, F)
         return F, np.array(self._trajectory(states, controls, -1).Y)
 
     def hessian(

@@ -30,7 +30,7 @@ SECOND_STEP = 6e-6
 
 
 @register_jitable
-def advance(f, integrator, nv, x, u, t, h, p):
+def next_state(f, integrator, nv, x, u, t, h, p):
     """Next state."""
     if integrator == MAP:
         return f(x, u, t, p)
@@ -76,7 +76,7 @@ def rollout(f, integrator, nv, times, steps, p, U, X_ref, K, lower, upper, appli
                 elif u[i] > upper[n, i]:
                     u[i] = upper[n, i]
                 applied[n, i] = u[i]
-        X[n + 1] = advance(f, integrator, nv, X[n], u, times[n], steps[n], p)
+        X[n + 1] = next_state(f, integrator, nv, X[n], u, times[n], steps[n], p)
         if is_bad(X[n + 1]) or is_bad(u):
             X[n + 1 :] = np.nan
             if feedback:
@@ -94,11 +94,11 @@ def linearize_complex(f, integrator, nv, times, steps, p, X, U, A, B):
         x, u = X[n].astype(np.complex128), U[n].astype(np.complex128)
         for j in range(nx):
             x[j] += step
-            A[n, :, j] = advance(f, integrator, nv, x, u, times[n], steps[n], p).imag / COMPLEX_STEP
+            A[n, :, j] = next_state(f, integrator, nv, x, u, times[n], steps[n], p).imag / COMPLEX_STEP
             x[j] = X[n, j]
         for j in range(nu):
             u[j] += step
-            B[n, :, j] = advance(f, integrator, nv, x, u, times[n], steps[n], p).imag / COMPLEX_STEP
+            B[n, :, j] = next_state(f, integrator, nv, x, u, times[n], steps[n], p).imag / COMPLEX_STEP
             u[j] = U[n, j]
 
 
@@ -111,16 +111,16 @@ def linearize_differences(f, integrator, nv, times, steps, p, X, U, A, B):
         for j in range(X.shape[1]):
             e = relative * max(1.0, abs(X[n, j]))
             x[j] = X[n, j] + e
-            beyond = advance(f, integrator, nv, x, u, times[n], steps[n], p)
+            beyond = next_state(f, integrator, nv, x, u, times[n], steps[n], p)
             x[j] = X[n, j] - e
-            A[n, :, j] = (beyond - advance(f, integrator, nv, x, u, times[n], steps[n], p)) / (2.0 * e)
+            A[n, :, j] = (beyond - next_state(f, integrator, nv, x, u, times[n], steps[n], p)) / (2.0 * e)
             x[j] = X[n, j]
         for j in range(U.shape[1]):
             e = relative * max(1.0, abs(U[n, j]))
             u[j] = U[n, j] + e
-            beyond = advance(f, integrator, nv, x, u, times[n], steps[n], p)
+            beyond = next_state(f, integrator, nv, x, u, times[n], steps[n], p)
             u[j] = U[n, j] - e
-            B[n, :, j] = (beyond - advance(f, integrator, nv, x, u, times[n], steps[n], p)) / (2.0 * e)
+            B[n, :, j] = (beyond - next_state(f, integrator, nv, x, u, times[n], steps[n], p)) / (2.0 * e)
             u[j] = U[n, j]
 
 
@@ -139,7 +139,7 @@ def hessian_complex(f, integrator, nv, times, steps, p, X, U, costates, H):
                 z[j] = here + sign * e
                 for i in range(j + 1):
                     z[i] += h
-                    forward = advance(f, integrator, nv, z[:nx].copy(), z[nx:].copy(), times[n], steps[n], p)
+                    forward = next_state(f, integrator, nv, z[:nx].copy(), z[nx:].copy(), times[n], steps[n], p)
                     z[i] = z[i].real
                     for k in range(forward.shape[0]):
                         H[n, i, j] += sign * costates[n, k] * (forward[k].imag / COMPLEX_STEP) / (2.0 * e)
@@ -165,17 +165,17 @@ def hessian_differences(f, integrator, nv, times, steps, p, X, U, costates, H):
                         z[:] = here
                         z[i] += a * e[i]
                         z[j] += b * e[j]
-                        forward = advance(f, integrator, nv, z[:nx].copy(), z[nx:].copy(), times[n], steps[n], p)
+                        forward = next_state(f, integrator, nv, z[:nx].copy(), z[nx:].copy(), times[n], steps[n], p)
                         for k in range(forward.shape[0]):
                             total += a * b * costates[n, k] * forward[k]
                 H[n, i, j] = H[n, j, i] = total / (4.0 * e[i] * e[j])
 
 
 @register_jitable
-def advance_all(f, integrator, nv, times, steps, p, X, U, F):
+def step_each(f, integrator, nv, times, steps, p, X, U, F):
     """Fill F with one step from each knot, NaN where it blows up."""
     for n in range(U.shape[0]):
-        F[n] = advance(f, integrator, nv, X[n].copy(), U[n].copy(), times[n], steps[n], p)
+        F[n] = next_state(f, integrator, nv, X[n].copy(), U[n].copy(), times[n], steps[n], p)
         if is_bad(F[n]):
             F[n] = np.nan
 
@@ -196,7 +196,7 @@ _SIGNATURES = {
     linearize_differences: types.void(REAL, *_common, _given, _given, _cube, _cube),
     hessian_complex: types.void(COMPLEX, *_common, _given, _given, _given, _cube),
     hessian_differences: types.void(REAL, *_common, _given, _given, _given, _cube),
-    advance_all: types.void(REAL, *_common, _given, _given, _matrix),
+    step_each: types.void(REAL, *_common, _given, _given, _matrix),
 }
 
 

@@ -10,6 +10,8 @@ peaks at both ends of the motion. The paper's methods fail at beta = 1.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import njit
 
@@ -17,7 +19,11 @@ from mjslq.costs import Tracking
 from mjslq.dynamics.dynamics import Dynamics
 from mjslq.dynamics.function import FunctionDynamics
 from mjslq.problem import Problem
+from mjslq.problems.assets import load_asset
 from mjslq.validation import choose, count, finite, positive
+
+if TYPE_CHECKING:
+    import mujoco
 
 BETAS = (0.01, 0.05, 0.1, 0.5, 1.0)
 """The drag coefficients of Table 1."""
@@ -76,9 +82,23 @@ def _function(beta: float, mass: float, dt: float) -> FunctionDynamics:
     )  # fmt: skip
 
 
+def drag_spec(beta: float, timestep: float = 1.0 / 500.0) -> mujoco.MjSpec:
+    """Load the particle with quadratic drag of assets/drag_particle.xml.
+
+    Parameters
+    ----------
+    beta
+        Drag coefficient: the force is -beta v |v|. [kg/m]
+    timestep
+        Step length h. [s]
+    """
+    spec = load_asset("drag_particle.xml", timestep)
+    spec.joint("x").damping = [0.0, positive("beta", beta), 0.0]
+    return spec
+
+
 def _mujoco(beta: float, mass: float, dt: float) -> Dynamics:
     from mjslq.dynamics.mujoco import MujocoDynamics
-    from mjslq.dynamics.mujoco.models import drag_spec
 
     spec = drag_spec(beta, dt)
     spec.geom("bead").mass = mass

@@ -15,6 +15,8 @@ Euler, MuJoCo's own, reproduces these counts; explicit Euler does not.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import njit
 
@@ -22,10 +24,16 @@ from mjslq.costs import Tracking
 from mjslq.dynamics.dynamics import Dynamics
 from mjslq.dynamics.function import FunctionDynamics, Integrator
 from mjslq.problem import Problem
+from mjslq.problems.assets import load_asset
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
 from mjslq.validation import choose, count, finite, positive
 
+if TYPE_CHECKING:
+    import mujoco
+
+FAR = 1e6
+"""Upper end of the springs' dead bands: never reached. [in]"""
 PAPER_ITERATIONS = {1.0: 3, 50.0: 166}
 """Iterations that the paper reports, by height."""
 
@@ -91,9 +99,39 @@ def function_dynamics(
 def mujoco_dynamics(stiffness: float, alpha: float, gravity: float, dt: float) -> Dynamics:
     """The same machine as an MJCF model, state (y, y_p, ydot, y_p')."""
     from mjslq.dynamics.mujoco import MujocoDynamics
-    from mjslq.dynamics.mujoco.models import hopper_spec
 
     return MujocoDynamics.from_spec(hopper_spec(stiffness, alpha, gravity, dt))
+
+
+def hopper_spec(
+    stiffness: float = 500.0, smoothing: float = 0.1, gravity: float = 386.4, timestep: float = 0.01
+) -> mujoco.MjSpec:
+    """Load the hopping machine of assets/hopper.xml, which explains the construction.
+
+    Parameters
+    ----------
+    stiffness
+        Spring constant over mass, k / m. [1/s^2]
+    smoothing
+        Compression alpha below which the spring is quadratic. [in]  Small values cost digits: the force is exact
+        to about 1e-16 / alpha relative to the compression.
+    gravity
+        Gravitational acceleration g. [in/s^2]
+    timestep
+        Step length h. [s]
+    """
+    stiffness, smoothing = positive("stiffness", stiffness), positive("smoothing", smoothing)
+    spec = load_asset("hopper.xml", timestep)
+    spec.option.gravity = [0.0, 0.0, -positive("gravity", gravity)]
+    curvature = stiffness / (2.0 * smoothing)
+    for name, lower, sign in (("spring", 0.0, -1.0), ("smoothing", -smoothing, 1.0)):
+        tendon = spec.tendon(name)
+        tendon.springlength = [lower, FAR]
+        tendon.stiffness = [0.0, sign * curvature, 0.0]
+    drive = spec.joint("piston").armature / spec.option.timestep
+    actuator = spec.actuator("piston")
+    actuator.gainprm[0], actuator.biasprm[2] = drive, -drive
+    return spec
 
 
 def phases(X: np.ndarray) -> list[str]:

@@ -92,7 +92,7 @@ def mujoco_spec() -> mujoco.MjSpec:
     """The arm as an MJCF model: fingers locked, no limits on motion or torque, no damping, a sensor on the hand."""
     import mujoco
 
-    from mjslq.dynamics.pinocchio.models import lock_spec
+    from mjslq.dynamics.locked_joints import lock_spec
     from mjslq.robots import robot_spec
 
     spec = robot_spec("panda")

@@ -1,6 +1,8 @@
 """Parts of the swing-ups: a model of the assets whose motors get limits, hanging first and upright in the end.
 
     J = h sum_n 1/2 effort |u_n|^2 + 1/2 |x_N|^2_W,    x = 0 upright at rest
+
+The motors are too weak to lift the links at once: they have to be swung.
 """
 
 from __future__ import annotations
@@ -9,8 +11,8 @@ import numpy as np
 
 from mjslq.costs import Control, State
 from mjslq.dynamics.mujoco import MujocoDynamics
-from mjslq.problems.models import asset_path
 from mjslq.problem import Problem
+from mjslq.problems.assets import load_asset
 from mjslq.trajectory import Trajectory
 from mjslq.validation import count, positive
 
@@ -19,10 +21,8 @@ def swing_up(
     name: str, limits: dict[str, float], weights: list[float], horizon: int, duration: float, effort: float
 ) -> Problem:
     """The swing-up of assets/`name`.xml; `limits` by the motor's name, 0 for none."""
-    import mujoco
-
     N = count("horizon", horizon)
-    spec = mujoco.MjSpec.from_file(str(asset(f"{name}.xml")))
+    spec = load_spec(asset_path(f"{name}.xml"))
     spec.option.timestep = positive("duration", duration) / N
     for motor, limit in limits.items():
         actuator = spec.actuator(motor)

@@ -87,7 +87,7 @@ def _stages(x, u, t, p):
 def _scene(dt: float) -> Scene | None:
     """A bead on a rail, at x_2."""
     from mjslq.dynamics.mujoco import MujocoDynamics
-    from mjslq.dynamics.mujoco.models import drag_spec
+    from mjslq.problems.drag_particle import drag_spec
 
     scene = MujocoDynamics.from_spec(drag_spec(1.0, dt)).scene()
     return Scene(scene.model, (1,), scene.name)

@@ -78,7 +78,7 @@ class Iterate:
     @classmethod
     def guess(cls, problem: Problem, X: Array, U: Array) -> Iterate:
         """States `X` (N + 1, nx) and controls `U` (N, nu) that need not obey the dynamics."""
-        ends, Y = problem.dynamics.advance(X, U)
+        ends, Y = problem.dynamics.step_each(X, U)
         sums = Y.sum(axis=1)  # not finite where an entry is not
         sums[:-1] += ends.sum(axis=1)
         bad = np.flatnonzero(~np.isfinite(sums))

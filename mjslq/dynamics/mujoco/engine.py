@@ -33,8 +33,8 @@ from mjslq.validation import Array, as_array, choose, count, positive
 if TYPE_CHECKING:
     import mujoco
 
-    from mjslq.dynamics.mujoco.horizon import Horizon
     from mjslq.dynamics.mujoco.inverse.jacobians import InverseJacobians
+    from mjslq.dynamics.mujoco.simulator import Simulator
 
 
 class MujocoDynamics(Dynamics):
@@ -191,7 +191,7 @@ class MujocoDynamics(Dynamics):
     def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None = None) -> list[Trajectory]:
         """Simulate several times, on several threads; see `Dynamics.rollouts`."""
         with self._lock:
-            return self._horizon.rollouts(x0s, U, feedback)
+            return self.simulator.rollouts(x0s, U, feedback)
 
     @property
     def threads(self) -> int:
@@ -205,7 +205,7 @@ class MujocoDynamics(Dynamics):
         """
         x, u = as_array("x", x, (self.nx,)), as_array("u", u, (self.nu,))
         with self._lock:
-            return self._horizon.step(x, u, n)
+            return self.simulator.step(x, u, n)
 
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step of `trajectory`, and of the outputs at every knot."""
@@ -242,22 +242,23 @@ class MujocoDynamics(Dynamics):
         return Scene(data.tobytes(), tuple(range(self.model.nq)), self.name)
 
     @cached_property
-    def _horizon(self) -> Horizon:
-        from mjslq.dynamics.mujoco.horizon import Horizon
+    def simulator(self) -> Simulator:
+        """Whole-horizon loops and their memory, made when first asked for; one caller at a time."""
+        from mjslq.dynamics.mujoco.simulator import Simulator
 
-        return Horizon(self.model, self._threads)
+        return Simulator(self.model, self._threads)
 
     @cached_property
     def _inverse(self) -> InverseJacobians:
         from mjslq.dynamics.mujoco.inverse.jacobians import InverseJacobians
 
-        return InverseJacobians(self._horizon, self._eps, self._centered)
+        return InverseJacobians(self.simulator, self._eps, self._centered)
 
     def _linearize_inverse(self, trajectory: Trajectory) -> Linearization:
         return self._inverse.linearize(trajectory.X, trajectory.U, trajectory.X[1:])
 
     def _linearize_transition(self, trajectory: Trajectory) -> Linearization:
-        return self._horizon.linearize_transition(trajectory, self._eps, self._centered)
+        return self.simulator.linearize_transition(trajectory, self._eps, self._centered)
 
     def _keyframe_index(self, name: str) -> int:
         return self.keyframe_names.index(choose("keyframe", name, self.keyframe_names))

@@ -94,6 +94,7 @@ def _integers(address, size):
 
 @numba.njit(inline="always")
 def copy_into(source, target):
+    """Copy numbers, as many as `target` has room for."""
     for i in range(target.shape[0]):
         target[i] = source[i]
 

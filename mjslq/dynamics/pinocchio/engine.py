@@ -6,7 +6,7 @@ Notation
     dx = (dq, dv)               ndx = 2 nv       tangent direction, as in pin.integrate and pin.difference
     u                           nu               joint torques [Nm] or forces [N]; a floating base has none
     y                           ny               positions and orientations of frames, read at x_n
-    x_{n+1}                                      semi-implicit Euler (`horizon`), or Runge-Kutta of
+    x_{n+1}                                      semi-implicit Euler (`simulator`), or Runge-Kutta of
                                                  fourth order (`runge_kutta`)
 
 A floating base is a position, a quaternion (x, y, z, w), and velocities [linear, angular] both in the base's own
@@ -29,6 +29,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from mjslq.dynamics.dynamics import Dynamics, Feedback, Linearization, Output
+from mjslq.dynamics.locked_joints import LockedJoints, locked_positions
 from mjslq.dynamics.pinocchio import models
 from mjslq.dynamics.pinocchio.outputs import Readings
 from mjslq.dynamics.pinocchio.states import state_space
@@ -37,7 +38,7 @@ from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array, choose, positive
 
 if TYPE_CHECKING:
-    from mjslq.dynamics.pinocchio.horizon import Horizon
+    from mjslq.dynamics.pinocchio.simulator import Simulator
 
 Integrator = Literal["semi-implicit-euler", "rk4"]
 _INTEGRATORS = ("semi-implicit-euler", "rk4")
@@ -73,7 +74,7 @@ class PinocchioDynamics(Dynamics):
         self,
         model: Any,
         timestep: float,
-        locked_joints: models.LockedJoints | None = None,
+        locked_joints: LockedJoints | None = None,
         outputs: Sequence[str] = (),
         *,
         integrator: Integrator = "semi-implicit-euler",
@@ -109,7 +110,7 @@ class PinocchioDynamics(Dynamics):
         cls,
         path: str | Path,
         timestep: float,
-        locked_joints: models.LockedJoints | None = None,
+        locked_joints: LockedJoints | None = None,
         outputs: Sequence[str] = (),
         *,
         floating_base: bool = False,
@@ -120,7 +121,7 @@ class PinocchioDynamics(Dynamics):
         A viewer draws the robot as MuJoCo reads the same file.
         """
         model = models.load_urdf(path, floating_base)
-        file, locked = Path(path).expanduser().resolve(), models.locked_positions(locked_joints)
+        file, locked = Path(path).expanduser().resolve(), locked_positions(locked_joints)
         options.setdefault("name", file.stem)
 
         def scene(dynamics: PinocchioDynamics) -> Scene | None:
@@ -134,7 +135,7 @@ class PinocchioDynamics(Dynamics):
         cls,
         model: Any,
         timestep: float,
-        locked_joints: models.LockedJoints | None = None,
+        locked_joints: LockedJoints | None = None,
         outputs: Sequence[str] = (),
         **options: Any,
     ) -> PinocchioDynamics:
@@ -176,7 +177,7 @@ class PinocchioDynamics(Dynamics):
         """Simulate several times, one after the other; see `Dynamics.rollouts`."""
         controls = [np.ascontiguousarray(U[0])] if len(U) == 1 else [u.copy() for u in U]
         with self._lock:
-            return [self._horizon.simulate(x0, u, feedback) for x0, u in zip(x0s, controls, strict=True)]
+            return [self.simulator.simulate(x0, u, feedback) for x0, u in zip(x0s, controls, strict=True)]
 
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
         """One step by the joint-space mass matrix: the next state (nx,) and the outputs (ny,) at (x, u)."""
@@ -206,7 +207,7 @@ class PinocchioDynamics(Dynamics):
         """Jacobians of every step of `trajectory`, and of the outputs at every knot."""
         self.check_trajectory(trajectory)
         with self._lock:
-            return self._horizon.linearize(trajectory)
+            return self.simulator.linearize(trajectory)
 
     def scene(self) -> Scene | None:
         """Return the robot as MuJoCo reads it, and where its pose is in x; None where it cannot."""
@@ -237,9 +238,10 @@ class PinocchioDynamics(Dynamics):
         return self._drawn_by(self) if callable(self._drawn_by) else self._drawn_by
 
     @cached_property
-    def _horizon(self) -> Horizon:
-        from mjslq.dynamics.pinocchio.horizon import SemiImplicitEuler
+    def simulator(self) -> Simulator:
+        """Whole-horizon loops and their memory, made when first asked for; one caller at a time."""
         from mjslq.dynamics.pinocchio.runge_kutta import RungeKutta4
+        from mjslq.dynamics.pinocchio.simulator import SemiImplicitEuler
 
         h, rest = float(self.dt), (self.damping, self._actuated, self._readings)
         if self.integrator == "rk4":

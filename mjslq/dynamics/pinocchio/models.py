@@ -6,22 +6,19 @@ Continuous joints are read as plain angles, as MuJoCo has them, and not as a cos
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from mjslq.dynamics.locked_joints import LockedJoints, lock_spec, locked_positions
 from mjslq.scene import Scene
 from mjslq.validation import Array, as_array, choose
 
-if TYPE_CHECKING:
-    import mujoco
-
 ROOT = "root"
 """Name of a floating base's joint, here and in MuJoCo."""
-LockedJoints = Sequence[str] | Mapping[str, float]
 
 _POSITIONS = {
     "JointModelFreeFlyer": (".x", ".y", ".z", ".qx", ".qy", ".qz", ".qw"),
@@ -69,15 +66,6 @@ def lock(model: Any, joints: LockedJoints | None) -> Any:
             q[model.idx_qs[index]] = position
         indices.append(index)
     return pin.buildReducedModel(model, indices, q)
-
-
-def locked_positions(joints: LockedJoints | None) -> dict[str, float]:
-    """Joints to lock, and where. [rad or m]"""
-    if isinstance(joints, str):
-        raise ValueError(f"locked_joints must be a sequence of names, got the text {joints!r}; write ({joints!r},)")
-    if isinstance(joints, Mapping):
-        return {name: float(as_array(f"locked_joints[{name!r}]", value, ())) for name, value in joints.items()}
-    return dict.fromkeys(joints or (), 0.0)
 
 
 def per_joint(model: Any, name: str, value: float | Mapping[str, float] | None, current: Array) -> Array:
@@ -162,33 +150,6 @@ def viewer_scene(path: Path, model: Any, floating_base: bool, locked: dict[str, 
     data = np.empty(mujoco.mj_sizeModel(drawn), np.uint8)
     mujoco.mj_saveModel(drawn, None, data)
     return Scene(data.tobytes(), tuple(columns), name)
-
-
-def lock_spec(spec: mujoco.MjSpec, joints: LockedJoints | None) -> None:
-    """Weld joints of a MuJoCo specification of a URDF at zero, or at the positions given, as `lock` does."""
-    import mujoco
-
-    for name, position in locked_positions(joints).items():
-        joint = spec.joint(choose("joint to lock", name, (joint.name for joint in spec.joints)))
-        body, turn = joint.parent, np.zeros(4)
-        if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
-            along = np.zeros(3)
-            mujoco.mju_rotVecQuat(along, np.asarray(joint.axis), np.asarray(body.quat))
-            body.pos = np.asarray(body.pos) + position * along
-        elif joint.type == mujoco.mjtJoint.mjJNT_HINGE:
-            mujoco.mju_axisAngle2Quat(turn, np.asarray(joint.axis) / np.linalg.norm(joint.axis), position)
-            turned = np.zeros(4)
-            mujoco.mju_mulQuat(turned, np.asarray(body.quat), turn)
-            body.quat = turned
-        for element in _attached(spec, name):
-            spec.delete(element)
-        spec.delete(joint)
-
-
-def _attached(spec: mujoco.MjSpec, joint: str) -> Iterable[Any]:
-    """Motors of a joint, and equalities that tie it to another."""
-    yield from [actuator for actuator in spec.actuators if actuator.target == joint]
-    yield from [equality for equality in spec.equalities if joint in (equality.name1, equality.name2)]
 
 
 def _turn_continuous(root: ElementTree.Element) -> None:

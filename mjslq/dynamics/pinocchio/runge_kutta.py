@@ -26,7 +26,7 @@ import numpy as np
 import pinocchio as pin
 
 from mjslq.dynamics.pinocchio import kernels
-from mjslq.dynamics.pinocchio.horizon import Horizon, Recorder
+from mjslq.dynamics.pinocchio.simulator import Recorder, Simulator
 from mjslq.validation import Array
 
 Acceleration = Callable[[int, Array, Array], Array]
@@ -58,11 +58,11 @@ def runge_kutta(
     return end, v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4), walks
 
 
-class RungeKutta4(Horizon):
+class RungeKutta4(Simulator):
     """The step at the head of this file; damping is part of a."""
 
-    def advance(self, n: int, X: Array, recorder: Recorder) -> bool:
-        """See `Horizon.advance`."""
+    def step(self, n: int, X: Array, recorder: Recorder) -> bool:
+        """See `Simulator.step`."""
         q, v = self.q.copy(), self.v.copy()
 
         def acceleration(i: int, q_i: Array, v_i: Array) -> Array:
@@ -78,7 +78,7 @@ class RungeKutta4(Horizon):
         return bool((np.abs(X[n + 1]) < kernels.ABSURD).all())
 
     def differentiate(self, X: Array, tau: Array, recorder: Recorder, J: Array) -> tuple[Array, Array]:
-        """See `Horizon.differentiate`."""
+        """See `Simulator.differentiate`."""
         N, nv, nq = len(tau), self.model.nv, self.model.nq
         a_q, a_v, a_u = (np.zeros((4, N, nv, nv)) for _ in range(3))
         size = self.curved.stop - self.curved.start

@@ -11,7 +11,7 @@ forces/             smooth forces
     laws, muscles           springs, dampers, actuators
     arms                    tendons and actuators whose moment arms move
     fluid                   drag, lift, added mass
-    remainder, differences  forces without a closed form, and their differences
+    unmodelled_forces, differences    forces without a closed form, and their differences
 
 rows/               constraint rows
     constraints, equalities  limits, friction, equality constraints

@@ -11,12 +11,12 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from mjslq.dynamics.mujoco.inverse.forces.remainder import (
+from mjslq.dynamics.mujoco.inverse.forces.unmodelled_forces import (
     AFFINE_BIASES,
     AFFINE_GAINS,
     is_spatial,
     on_one_branch,
-    remainder,
+    unmodelled_forces,
 )
 from mjslq.dynamics.mujoco.inverse.readings.outputs import TYPES, sensors
 from mjslq.dynamics.mujoco.inverse.table import columns
@@ -81,7 +81,7 @@ def _served_equalities(model: mujoco.MjModel) -> str:
 
 def _forces(model: mujoco.MjModel) -> list[tuple[str, str]]:
     """Rows of the smooth forces that have no closed form; all others are analytic."""
-    rest = remainder(model)
+    rest = unmodelled_forces(model)
     rows = [
         (what.format(which.sum()), _OWN)
         for what, which in (
@@ -93,13 +93,13 @@ def _forces(model: mujoco.MjModel) -> list[tuple[str, str]]:
     rows += [
         (what.format(which.sum()), _ARMS)
         for what, which in (
-            ("springs and dampers of {} tendons", rest.slack),
-            ("forces of {} other actuators" if rest.actuators.any() else "forces of {} actuators", rest.swinging),
+            ("springs and dampers of {} tendons", rest.moving_arm_tendons),
+            (f"forces of {{}}{' other' if rest.actuators.any() else ''} actuators", rest.moving_arm_actuators),
         )
         if which.any()
     ]
     rows += [("fluid", "analytic")] if in_fluid(model) else []
-    return rows + ([("gravity compensation", _OWN)] if rest.lifted else [])
+    return rows + ([("gravity compensation", _OWN)] if rest.clipped_gravcomp else [])
 
 
 def _describe_sensors(model: mujoco.MjModel) -> list[tuple[str, str]]:
@@ -140,12 +140,12 @@ def _beyond_the_metric(model: mujoco.MjModel) -> bool:
     """Whether the discrete integrator meets forces that are no springs, dampers or servos with constant arms."""
     if implicit_level(model) != 3:
         return False
-    rest = remainder(model)
+    rest = unmodelled_forces(model)
     plain = (
         np.isin(model.actuator_gaintype, AFFINE_GAINS).all() and np.isin(model.actuator_biastype, AFFINE_BIASES).all()
     )
     spatial = any(is_spatial(model, t) and _makes_rows(model, t) for t in range(model.ntendon))
-    open_ = rest.exists or rest.slack.any() or rest.swinging.any()
+    open_ = rest.exists or rest.moving_arm_tendons.any() or rest.moving_arm_actuators.any()
     return bool(not plain or open_ or spatial or in_fluid(model))
 
 

@@ -12,7 +12,12 @@ import numpy as np
 
 from mjslq.dynamics.dynamics import Linearization
 from mjslq.dynamics.mujoco import kernels
-from mjslq.dynamics.mujoco.inverse.forces.remainder import covered_part, remainder, rest_part, rest_table
+from mjslq.dynamics.mujoco.inverse.forces.unmodelled_forces import (
+    covered_part,
+    rest_part,
+    rest_table,
+    unmodelled_forces,
+)
 from mjslq.dynamics.mujoco.inverse.readings.outputs import sensors
 from mjslq.dynamics.mujoco.inverse.table.actuator_plan import actuator_table, metric_table
 from mjslq.dynamics.mujoco.inverse.table.arm_plan import arm_table
@@ -24,16 +29,16 @@ from mjslq.dynamics.mujoco.library import copied
 from mjslq.validation import Array
 
 if TYPE_CHECKING:
-    from mjslq.dynamics.mujoco.horizon import Horizon
+    from mjslq.dynamics.mujoco.simulator import Simulator
 
 
 class InverseJacobians:
-    """Linearizes trajectories of a covered model, with the workers and mjData of a `Horizon`."""
+    """Linearizes trajectories of a covered model, with the workers and mjData of a `Simulator`."""
 
-    def __init__(self, horizon: Horizon, eps: float, centered: bool):
-        self._horizon = horizon
-        model = horizon.model
-        rest = remainder(model)
+    def __init__(self, simulator: Simulator, eps: float, centered: bool):
+        self._simulator = simulator
+        model = simulator.model
+        rest = unmodelled_forces(model)
         self._rest = rest_part(model, rest) if rest.exists else None
         part = covered_part(model, rest)
         table = plan(part) | arrays(actuator_table(part))
@@ -45,8 +50,8 @@ class InverseJacobians:
             | rest_table(model, rest)
             | {"eps": eps, "centered": int(centered)}
         )
-        self._row_model = row_model(horizon.model)
-        self._work = [self._workspace() for _ in range(horizon.workers.count)]
+        self._row_model = row_model(simulator.model)
+        self._work = [self._workspace() for _ in range(simulator.workers.count)]
         self._blank = self._blank_jobs()
 
     def linearize(self, X: Array, U: Array, ends: Array) -> Linearization:
@@ -56,25 +61,25 @@ class InverseJacobians:
         """
         from mjslq.dynamics.mujoco.inverse.kernel import kernel
 
-        horizon, N = self._horizon, len(U)
-        nu, ny, ndx = horizon.model.nu, horizon.model.nsensordata, horizon.ndx
+        simulator, N = self._simulator, len(U)
+        nu, ny, ndx = simulator.model.nu, simulator.model.nsensordata, simulator.ndx
         result = Linearization(
             np.empty((N, ndx, ndx)), np.empty((N, ndx, nu)), np.zeros((N + 1, ny, ndx)), np.zeros((N + 1, ny, nu))
         )
         knots = N + 1 if ny else N
-        chunks = np.linspace(0, knots, min(horizon.workers.count, max(knots, 1)) + 1).astype(int)
+        chunks = np.linspace(0, knots, min(simulator.workers.count, max(knots, 1)) + 1).astype(int)
         jobs = copied(self._blank[: len(chunks) - 1])
         jobs["N"], jobs["first"], jobs["last"] = N, chunks[:-1], chunks[1:]
         given = {name: np.ascontiguousarray(array) for name, array in (("X", X), ("U", U), ("ends", ends))}
         for name, array in {**result._asdict(), **given}.items():
             jobs[name] = array.ctypes.data
-        horizon.workers.run(kernels.address(kernel(self._level)), jobs)
+        simulator.workers.run(kernels.address(kernel(self._level)), jobs)
         return result
 
     def _blank_jobs(self) -> np.ndarray[Any, Any]:
         """A job for each worker, with all that is the same at every call filled in."""
         jobs = np.zeros(len(self._work), JOB)
-        model = self._horizon.model
+        model = self._simulator.model
         jobs["model"], jobs["row_model"] = model._address, self._row_model._address
         jobs["rest_model"] = self._rest._address if self._rest else 0
         for name in ("ten_J_rownnz", "ten_J_rowadr", "ten_J_colind"):
@@ -83,7 +88,7 @@ class InverseJacobians:
             jobs[name] = value.ctypes.data if value.ndim else value
         for name, at in offsets().items():
             jobs["at_" + name.replace(".", "_")] = at
-        for job, data, work in zip(jobs, self._horizon._data, self._work, strict=True):
+        for job, data, work in zip(jobs, self._simulator.data, self._work, strict=True):
             job["data"] = data._address
             for name in VIEWS:
                 job[name] = getattr(data, name).ctypes.data

@@ -2,7 +2,7 @@
 
 Notation
 --------
-    f                    passive and actuator forces of the model of the rest (`remainder`)
+    f                    passive and actuator forces of the model of the rest (`unmodelled_forces`)
     T = df/dv            what an implicit integrator takes of it, as MuJoCo computes it (its qDeriv); implicitfast keeps
                          the lower triangle and mirrors it
     F = df/dz, E = h (dT/dz) a

@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjslq.dynamics.mujoco.inverse.forces.remainder import Remainder, is_spatial, remainder
+from mjslq.dynamics.mujoco.inverse.forces.unmodelled_forces import UnmodelledForces, is_spatial, unmodelled_forces
 from mjslq.dynamics.mujoco.inverse.table import columns
 from mjslq.dynamics.mujoco.inverse.table.plan import (
     EQ,
@@ -93,7 +93,7 @@ _BODILY = (
 )  # fmt: skip
 
 
-def sensor_kind(model: mujoco.MjModel, s: int, rest: Remainder) -> int:
+def sensor_kind(model: mujoco.MjModel, s: int, rest: UnmodelledForces) -> int:
     """Kind of sensor s; BY_DIFFERENCES when there is no closed form for it, or for the force it reads."""
     kind, target = int(model.sensor_type[s]), int(model.sensor_objid[s])
     if disabled(model, OFF.mjDSBL_SENSOR) or (kind in _CONSTANT and not model.sensor_intprm[s].any()):
@@ -118,7 +118,7 @@ def sensor_kind(model: mujoco.MjModel, s: int, rest: Remainder) -> int:
 def sensors(model: mujoco.MjModel) -> dict[str, Any]:
     """Kinds, addresses, targets and frames of the sensors."""
     count = model.nsensor
-    rest = remainder(model)
+    rest = unmodelled_forces(model)
     kinds = np.array([sensor_kind(model, s, rest) for s in range(count)], np.int64)
     target, body, reference = np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros(count, np.int64)
     prm = np.zeros((count, columns.FRAME_NUMBERS))
@@ -210,27 +210,27 @@ def _has_spatial_tendon(model: mujoco.MjModel) -> bool:
     return any(is_spatial(model, t) for t in range(model.ntendon))
 
 
-def _open_actuators(model: mujoco.MjModel, rest: Remainder) -> Any:
+def _open_actuators(model: mujoco.MjModel, rest: UnmodelledForces) -> Any:
     """Mark the actuators whose rows the kernel does not fill: their force or its moment arm has no closed form."""
     has_rows = model.nactuator == model.nu == model.nout  # actuators, controls and forces are numbered alike
-    marked: Any = rest.actuators | rest.swinging | (not has_rows)
+    marked: Any = rest.actuators | rest.moving_arm_actuators | (not has_rows)
     return marked
 
 
-def _knows_dof(model: mujoco.MjModel, kind: int, joint: int, rest: Remainder) -> bool:
+def _knows_dof(model: mujoco.MjModel, kind: int, joint: int, rest: UnmodelledForces) -> bool:
     if kind != _SENSOR.mjSENS_JOINTACTFRC:
         return True
     on_site = (model.actuator_trntype == TRN.mjTRN_SITE).any()
     return not (_open_actuators(model, rest).any() or on_site or model.jnt_actgravcomp[joint])
 
 
-def _knows_tendon(model: mujoco.MjModel, kind: int, tendon: int, rest: Remainder) -> bool:
+def _knows_tendon(model: mujoco.MjModel, kind: int, tendon: int, rest: UnmodelledForces) -> bool:
     pulls = (model.actuator_trntype == TRN.mjTRN_TENDON) & (model.actuator_trnid[:, 0] == tendon)
     plain = not (pulls & _open_actuators(model, rest)).any()
     return not is_spatial(model, tendon) and (plain or kind != _SENSOR.mjSENS_TENDONACTFRC)
 
 
-def _knows_actuator(model: mujoco.MjModel, kind: int, i: int, rest: Remainder) -> bool:
+def _knows_actuator(model: mujoco.MjModel, kind: int, i: int, rest: UnmodelledForces) -> bool:
     if kind == _SENSOR.mjSENS_ACTUATORFRC:
         return not _open_actuators(model, rest)[i]
     of, target = model.actuator_trntype[i], int(model.actuator_trnid[i, 0])
@@ -241,7 +241,7 @@ def _knows_actuator(model: mujoco.MjModel, kind: int, i: int, rest: Remainder) -
     return bool(of in ON_JOINTS and model.jnt_type[target] in SCALAR)
 
 
-def _knows_limit(model: mujoco.MjModel, kind: int, target: int, rest: Remainder) -> bool:
+def _knows_limit(model: mujoco.MjModel, kind: int, target: int, rest: UnmodelledForces) -> bool:
     if _ON_LIMITS[kind] == columns.LIMIT_POS:
         return True
     if kind in (_SENSOR.mjSENS_JOINTLIMITVEL, _SENSOR.mjSENS_JOINTLIMITFRC):

@@ -7,8 +7,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjslq.dynamics.mujoco.inverse.forces.remainder import (
-    Remainder,
+from mjslq.dynamics.mujoco.inverse.forces.unmodelled_forces import (
+    UnmodelledForces,
     coupled_dofs,
     driven_dofs,
     touched_dofs,
@@ -16,10 +16,10 @@ from mjslq.dynamics.mujoco.inverse.forces.remainder import (
 from mjslq.dynamics.mujoco.inverse.table.plan import TRN, WRAP, tendons
 
 
-def arm_table(model: mujoco.MjModel, rest: Remainder) -> dict[str, Any]:
+def arm_table(model: mujoco.MjModel, rest: UnmodelledForces) -> dict[str, Any]:
     """Tendon, or output and control, of each arm; its dofs, and which of them lie on one branch."""
-    found = [(int(t), -1, -1, sorted(touched_dofs(model, int(t)))) for t in np.flatnonzero(rest.slack)]
-    for i in np.flatnonzero(rest.swinging):
+    found = [(int(t), -1, -1, sorted(touched_dofs(model, int(t)))) for t in np.flatnonzero(rest.moving_arm_tendons)]
+    for i in np.flatnonzero(rest.moving_arm_actuators):
         out, control = int(model.actuator_outadr[i]), int(model.actuator_ctrladr[i])
         found.append((-1, out, control, sorted(driven_dofs(model, int(i)))))
     sizes, prm = [len(dofs) for *_, dofs in found], tendons(model)["ten_prm"]
@@ -37,7 +37,8 @@ def arm_table(model: mujoco.MjModel, rest: Remainder) -> dict[str, Any]:
             arms[control] = k
     return {
         "narm": len(found), "narm_dof": sum(sizes), "narm_square": sum(size**2 for size in sizes),
-        "narm_q": len(moved), "arm_q": np.array(sorted(moved), np.int64), "arms_act": int(rest.swinging.any()),
+        "narm_q": len(moved), "arm_q": np.array(sorted(moved), np.int64),
+        "arms_act": int(rest.moving_arm_actuators.any()),
         "arm_prm": prm[[max(tendon, 0) for tendon, *_ in found]] if len(prm) else prm,
         "arm_straight": np.array(straight, np.int64), "npiece": len(pieces),
         "piece_arm": np.array([piece[0] for piece in pieces], np.int64),

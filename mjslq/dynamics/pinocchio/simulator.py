@@ -57,7 +57,7 @@ class Law(NamedTuple):
     applied: Array
 
 
-class Horizon(ABC):
+class Simulator(ABC):
     """A model with its memory. Not for several callers at once."""
 
     def __init__(self, model: Any, h: float, damping: Array, actuated: Array, readings: Readings) -> None:
@@ -79,7 +79,7 @@ class Horizon(ABC):
         self._no_law = Law(states, np.empty((0, len(actuated), 2 * model.nv)), controls, controls, controls)
 
     @abstractmethod
-    def advance(self, n: int, X: Array, recorder: Recorder) -> bool:
+    def step(self, n: int, X: Array, recorder: Recorder) -> bool:
         """Step from (q, v) under tau, and write X[n + 1]; False when it blew up. Notes the placements of knot n."""
 
     @abstractmethod
@@ -118,7 +118,7 @@ class Horizon(ABC):
             if len(law.K) and not self.plain:
                 self.dq[:] = pin.difference(self.model, law.X_ref[n, : self.q.size].copy(), self.q)
             kernels.control(n, self.plain, X, U, self.dq, *law, self.damping, self.actuated, self.tau)
-            if not self.advance(n, X, recorder):
+            if not self.step(n, X, recorder):
                 return n
         return len(U)
 
@@ -139,11 +139,11 @@ class Horizon(ABC):
         return Linearization(A, B, C, D)
 
 
-class SemiImplicitEuler(Horizon):
+class SemiImplicitEuler(Simulator):
     """The step at the head of this file. `model` has h D in its armature already."""
 
     def run(self, X: Array, U: Array, law: Law, recorder: Recorder) -> int:
-        """See `Horizon.run`; with plain positions a step is one call of Pinocchio's and one of ours."""
+        """See `Simulator.run`; with plain positions a step is one call of Pinocchio's and one of ours."""
         if not self.plain or not len(U):
             return super().run(X, U, law, recorder)
         model, data, q, v, tau, world = self.model, self.data, self.q, self.v, self.tau, pin.Convention.WORLD
@@ -156,8 +156,8 @@ class SemiImplicitEuler(Horizon):
                 return n
         return len(U)
 
-    def advance(self, n: int, X: Array, recorder: Recorder) -> bool:
-        """See `Horizon.advance`."""
+    def step(self, n: int, X: Array, recorder: Recorder) -> bool:
+        """See `Simulator.step`."""
         pin.aba(self.model, self.data, self.q, self.v, self.tau, pin.Convention.WORLD)
         recorder.note(n)
         good = kernels.euler(n, self.h, self.plain, self._acceleration, self.q, self.v, self.dq, X)
@@ -167,7 +167,7 @@ class SemiImplicitEuler(Horizon):
         return good
 
     def differentiate(self, X: Array, tau: Array, recorder: Recorder, J: Array) -> tuple[Array, Array]:
-        """See `Horizon.differentiate`."""
+        """See `Simulator.differentiate`."""
         N, nv, nq, h = len(tau), self.model.nv, self.model.nq, self.h
         A, B = np.zeros((N, 2 * nv, 2 * nv)), np.zeros((N, 2 * nv, len(self.actuated)))
         Q, V = X[:-1, :nq].copy(), X[:-1, nq:].copy()

@@ -52,22 +52,22 @@ Mask = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True)
-class Remainder:
+class UnmodelledForces:
     """Parts of a model whose forces have no closed form: masks of its joints and actuators, and a switch."""
 
-    lifted: bool
+    clipped_gravcomp: bool
     """Whether gravity compensation takes part in forces that joints clip."""
     joints: Mask
     actuators: Mask
-    slack: Mask
+    moving_arm_tendons: Mask
     """Tendons whose springs and dampers have a closed form, but not their moment arms."""
-    swinging: Mask
+    moving_arm_actuators: Mask
     """Actuators of that kind."""
 
     @property
     def is_passive(self) -> bool:
         """Whether forces other than the actuators' are among them."""
-        return bool(self.lifted or self.joints.any())
+        return bool(self.clipped_gravcomp or self.joints.any())
 
     @property
     def exists(self) -> bool:
@@ -75,18 +75,18 @@ class Remainder:
         return self.is_passive or bool(self.actuators.any())
 
 
-def remainder(model: mujoco.MjModel) -> Remainder:
+def unmodelled_forces(model: mujoco.MjModel) -> UnmodelledForces:
     """Find what has no closed form."""
-    lifted = np.asarray(model.jnt_actfrclimited, bool) & np.asarray(model.jnt_actgravcomp, bool)
-    lifted &= bool(model.body_gravcomp.any())
+    clipped_gravcomp = np.asarray(model.jnt_actfrclimited, bool) & np.asarray(model.jnt_actgravcomp, bool)
+    clipped_gravcomp &= bool(model.body_gravcomp.any())
     nonlinear = model.jnt_stiffnesspoly.any(axis=1)
-    open_, swinging = _open_actuators(model, lifted)
-    return Remainder(
-        lifted=bool(lifted.any()),
+    open_, moving_arm_actuators = _open_actuators(model, clipped_gravcomp)
+    return UnmodelledForces(
+        clipped_gravcomp=bool(clipped_gravcomp.any()),
         joints=nonlinear & (model.jnt_type == JOINT.mjJNT_FREE),
         actuators=open_,
-        slack=np.array([_is_slack(model, t) for t in range(model.ntendon)], bool),
-        swinging=swinging,
+        moving_arm_tendons=np.array([_has_moving_arm(model, t) for t in range(model.ntendon)], bool),
+        moving_arm_actuators=moving_arm_actuators,
     )
 
 
@@ -95,7 +95,7 @@ def is_spatial(model: mujoco.MjModel, t: int) -> bool:
     return bool(model.wrap_type[model.tendon_adr[t]] != WRAP.mjWRAP_JOINT)
 
 
-def _is_slack(model: mujoco.MjModel, t: int) -> bool:
+def _has_moving_arm(model: mujoco.MjModel, t: int) -> bool:
     """Whether the passive forces of tendon t have a closed form along a moment arm that has none."""
     prm = tendons(model)["ten_prm"][t]
     if is_spatial(model, t):
@@ -167,7 +167,7 @@ def _feels_motion(model: mujoco.MjModel, i: int) -> bool:
     )
 
 
-def _open_actuators(model: mujoco.MjModel, lifted: Mask) -> tuple[Mask, Mask]:
+def _open_actuators(model: mujoco.MjModel, clipped_gravcomp: Mask) -> tuple[Mask, Mask]:
     """Actuators without a closed form, and those that lack it only for their moment arm.
 
     To the first belong all that share a clipped joint with what spreads over several dofs.
@@ -178,7 +178,7 @@ def _open_actuators(model: mujoco.MjModel, lifted: Mask) -> tuple[Mask, Mask]:
         limited_tendon[i] = model.tendon_actfrclimited[model.actuator_trnid[i, 0]]
     strange = np.isin(model.actuator_trntype, (TRN.mjTRN_BODY, TRN.mjTRN_SO3)) | limited_tendon
     found = strange | np.array([not _has_closed_law(model, i) for i in range(count)], bool)
-    swinging = np.array([not _has_closed_arm(model, i) for i in range(count)], bool)
+    moving_arm_actuators = np.array([not _has_closed_arm(model, i) for i in range(count)], bool)
     limited = np.flatnonzero(model.jnt_actfrclimited)
     drives = [driven_dofs(model, i) for i in range(count)]
     direct = np.array([joint_of(model, i) >= 0 for i in range(count)], bool)
@@ -188,10 +188,10 @@ def _open_actuators(model: mujoco.MjModel, lifted: Mask) -> tuple[Mask, Mask]:
             first = int(model.jnt_dofadr[j])
             size = 1 if model.jnt_type[j] in SCALAR else 3 if model.jnt_type[j] == JOINT.mjJNT_BALL else 6
             here = np.array([bool(dofs & set(range(first, first + size))) for dofs in drives], bool)
-            if lifted[j] or size > 1 or (here & (found | ~direct)).any():
+            if clipped_gravcomp[j] or size > 1 or (here & (found | ~direct)).any():
                 found |= here
         if (found == before).all():
-            return found, swinging & ~found
+            return found, moving_arm_actuators & ~found
 
 
 def driven_dofs(model: mujoco.MjModel, i: int) -> set[int]:
@@ -239,13 +239,13 @@ def _relative_dofs(model: mujoco.MjModel, bodies: list[int]) -> set[int]:
     return set().union(*chains) - chains[0].intersection(*chains[1:])
 
 
-def covered_part(model: mujoco.MjModel, rest: Remainder) -> mujoco.MjModel:
-    """Copy of the model without the forces that have no closed form, and without the passive ones of slack tendons."""
+def covered_part(model: mujoco.MjModel, rest: UnmodelledForces) -> mujoco.MjModel:
+    """Copy of the model without the forces without a closed form, and the passive ones of tendons with moving arms."""
     part = copy.copy(model)
-    _slacken(part, rest.slack)
-    _loosen(part, rest.joints)
-    _still(part, rest.actuators)
-    if rest.lifted:
+    _disable_tendons(part, rest.moving_arm_tendons)
+    _disable_springs(part, rest.joints)
+    _disable_actuators(part, rest.actuators)
+    if rest.clipped_gravcomp:
         part.body_gravcomp[:] = 0.0
     for i in np.flatnonzero(rest.actuators):
         if model.actuator_dyntype[i] not in DYNAMICS or model.actuator_actnum[i] > 1 or model.actuator_ctrlnum[i] != 1:
@@ -255,20 +255,20 @@ def covered_part(model: mujoco.MjModel, rest: Remainder) -> mujoco.MjModel:
     return part
 
 
-def rest_part(model: mujoco.MjModel, rest: Remainder) -> mujoco.MjModel:
+def rest_part(model: mujoco.MjModel, rest: UnmodelledForces) -> mujoco.MjModel:
     """Copy of the model with no other smooth forces than those without a closed form."""
     part = copy.copy(model)
     part.opt.density = part.opt.viscosity = 0.0
-    _loosen(part, ~rest.joints)
-    _still(part, ~rest.actuators)
-    _slacken(part, np.ones(model.ntendon, bool))
+    _disable_springs(part, ~rest.joints)
+    _disable_actuators(part, ~rest.actuators)
+    _disable_tendons(part, np.ones(model.ntendon, bool))
     part.dof_damping[:] = part.dof_dampingpoly[:] = part.actuator_damping[:] = part.actuator_dampingpoly[:] = 0.0
-    if not rest.lifted:
+    if not rest.clipped_gravcomp:
         part.body_gravcomp[:] = 0.0
     return part
 
 
-def _slacken(model: mujoco.MjModel, which: Mask) -> None:
+def _disable_tendons(model: mujoco.MjModel, which: Mask) -> None:
     """Take springs and dampers away from some tendons, and dampers from what drives them."""
     model.tendon_stiffness[which] = model.tendon_stiffnesspoly[which] = 0.0
     model.tendon_damping[which] = model.tendon_dampingpoly[which] = 0.0
@@ -277,20 +277,20 @@ def _slacken(model: mujoco.MjModel, which: Mask) -> None:
             model.actuator_damping[i] = model.actuator_dampingpoly[i] = 0.0
 
 
-def _loosen(model: mujoco.MjModel, which: Mask) -> None:
+def _disable_springs(model: mujoco.MjModel, which: Mask) -> None:
     """Take springs away from some joints."""
     model.jnt_stiffness[which] = model.jnt_stiffnesspoly[which] = 0.0
 
 
-def _still(model: mujoco.MjModel, which: Mask) -> None:
+def _disable_actuators(model: mujoco.MjModel, which: Mask) -> None:
     """Take the force away from some actuators."""
     model.actuator_gaintype[which], model.actuator_biastype[which] = GAIN.mjGAIN_FIXED, BIAS.mjBIAS_NONE
     model.actuator_gainprm[which] = 0.0
 
 
-def rest_table(model: mujoco.MjModel, rest: Remainder) -> dict[str, Any]:
+def rest_table(model: mujoco.MjModel, rest: UnmodelledForces) -> dict[str, Any]:
     """What the kernel varies to differentiate the forces of the rest, and what it evaluates for that."""
-    positions: set[int] = set(range(model.nv)) if rest.lifted else set()
+    positions: set[int] = set(range(model.nv)) if rest.clipped_gravcomp else set()
     for j in np.flatnonzero(rest.joints):
         positions = positions | set(range(model.jnt_dofadr[j], model.jnt_dofadr[j] + 6))
     moved = [driven_dofs(model, int(i)) for i in np.flatnonzero(rest.actuators)]
@@ -320,7 +320,7 @@ def _indices(found: set[int]) -> Any:
     return np.array(sorted(found), np.int64)
 
 
-def _signals(model: mujoco.MjModel, rest: Remainder) -> tuple[Any, Any, Any]:
+def _signals(model: mujoco.MjModel, rest: UnmodelledForces) -> tuple[Any, Any, Any]:
     """Activations and controls of the actuators in the rest, and the activations whose dynamics have no closed form."""
     acts: list[int] = []
     controls: list[int] = []

@@ -1,4 +1,4 @@
-"""`Horizon`: the compiled kernels' Python side. It holds mjData, fills in jobs, and makes trajectories of arrays."""
+"""`Simulator`: the compiled kernels' Python side. It holds mjData, fills in jobs, and makes trajectories of arrays."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
 
 
-class Horizon:
+class Simulator:
     """A model with one mjData per thread. Not for several callers at once."""
 
     def __init__(self, model: mujoco.MjModel, threads: int):
@@ -25,7 +25,7 @@ class Horizon:
         self.model = model
         self.nx, self.ndx = model.nq + model.nv + model.na, 2 * model.nv + model.na
         self.workers = Workers(threads)
-        self._data = [mujoco.MjData(model) for _ in range(threads)]
+        self.data = [mujoco.MjData(model) for _ in range(threads)]
 
     def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None) -> list[Trajectory]:
         """Simulate several times, shared out among the threads; see `Dynamics.rollouts`."""
@@ -71,7 +71,7 @@ class Horizon:
     def step(self, x: Array, u: Array, n: int) -> tuple[Array, Array]:
         """Take one plain mj_step."""
         refuse_callbacks()
-        model, data = self.model, self._data[0]
+        model, data = self.model, self.data[0]
         mujoco.mj_resetData(model, data)
         data.time = n * model.opt.timestep
         data.qpos, data.qvel, data.act = np.split(x, [model.nq, model.nq + model.nv])
@@ -99,10 +99,10 @@ class Horizon:
     def _blank(self) -> np.ndarray[Any, Any]:
         """A job for each thread, with what never changes filled in."""
         model = self.model
-        jobs = np.zeros(len(self._data), kernels.JOB)
+        jobs = np.zeros(len(self.data), kernels.JOB)
         sizes = {"nq": model.nq, "nv": model.nv, "na": model.na, "nu": model.nu, "ny": model.nsensordata}
         _fill(jobs, {"model": model._address, **sizes})
-        for job, data in zip(jobs, self._data, strict=True):
+        for job, data in zip(jobs, self.data, strict=True):
             views = {
                 "qpos": data.qpos, "qvel": data.qvel, "act": data.act, "ctrl": data.ctrl, "qacc": data.qacc,
                 "warmstart": data.qacc_warmstart, "sensors": data.sensordata, "warnings": data.warning.number,
