@@ -22,8 +22,7 @@ def swing_up(
 ) -> Problem:
     """The swing-up of assets/`name`.xml; `limits` by the motor's name, 0 for none."""
     N = count("horizon", horizon)
-    spec = load_spec(asset_path(f"{name}.xml"))
-    spec.option.timestep = positive("duration", duration) / N
+    spec = load_asset(f"{name}.xml", positive("duration", duration) / N)
     for motor, limit in limits.items():
         actuator = spec.actuator(motor)
         actuator.ctrllimited = bool(limit)
