@@ -55,7 +55,7 @@ def random_lq(seed):
 def dense(problem):
     """Hessian and gradient by the controls, states eliminated."""
     A, B, Q, R, M, q, r, c = problem
-    N, nx, nu = B.shape
+    N, nu = r.shape
     S, s = response(A, B, c)
     H, g = np.zeros((N * nu, N * nu)), r.ravel().copy()
     for n in range(N + 1):

@@ -1,5 +1,7 @@
 """SLQ with a multiplier: the damped direction against a dense twin, the schedule, the remedy, wrong input."""
 
+import functools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,7 +9,8 @@ from hypothesis import strategies as st
 from lq_problems import response
 from small_problems import pendulum
 
-from mjslq import Status, problems, solve
+import mjslq
+from mjslq import Status, problems
 from mjslq.lq.box import Box
 from mjslq.lq.problem import LQProblem
 from mjslq.options import SLQOptions
@@ -17,6 +20,8 @@ from mjslq.solvers.iterate import LIMITING, Iterate
 from mjslq.solvers.merit import CostAndGaps
 from mjslq.solvers.method import Step
 from mjslq.solvers.slq import SLQ
+
+solve = functools.partial(mjslq.solve, method="slq")
 
 
 def start():

@@ -9,8 +9,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from mjslq.solvers import linesearch as linesearch
-from mjslq.solvers.merit import CostAndGaps
 from mjslq.solvers.linesearch import C1, C1_GOLDSTEIN, C2, ROUNDOFF, SEARCHES, Trial, search
+from mjslq.solvers.merit import CostAndGaps
 
 NAMES = sorted(SEARCHES)
 

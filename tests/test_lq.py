@@ -244,7 +244,7 @@ def test_shifts_are_on_the_diagonals_of_R_and_Q(size, seed, sigma, tau):
 
 @given(sizes, seeds, st.floats(0.0, 1.0))
 def test_held_controls_stay_at_zero_and_the_others_minimize(size, seed, share):
-    nx, nu, N = size
+    _, nu, N = size
     rng = np.random.default_rng(seed)
     lq, _ = random_problem(rng, *size)
     held = rng.uniform(size=(N, nu)) < share

@@ -28,8 +28,8 @@ def test_start_holds_the_arm_up(problem):
 
 
 def test_solution(problem):
-    result = mjslq.solve(problem)
-    assert result.success and result.iterations <= 40, result.message
+    result = mjslq.solve(problem, "slq")
+    assert result.success and result.iterations == 24, result.message
     assert result.cost == pytest.approx(OPTIMAL_COST, rel=1e-6)
     assert np.linalg.norm(result.trajectory.Y[-1] - [0.4, 0.3, 0.5]) < 2e-3
     assert "mm from the target" in problem.describe(result.trajectory)["hand"]

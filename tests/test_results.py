@@ -10,12 +10,18 @@ import numpy as np
 import pytest
 
 import mjslq
-from mjslq import Result, Status, problems, solve
-from mjslq import result as result_module
+from mjslq import Result, Status, problems, solve, storage
 from mjslq.files import atomic_write
+from mjslq.lie_groups import MOTION, ROTATION, SLIDE, TURN
 from mjslq.log import IterationLog
+from mjslq.manifold import StateSpace
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
+
+GROUPS = StateSpace.of(
+    15, 12, [(MOTION, range(7), range(6)), (TURN, (9, 8), (7,)), (SLIDE, (13, 10, 11, 12), (11, 8, 9))]
+)
+"""A state with everything in it, in an order of its own."""
 
 
 def sample(**change):
@@ -26,13 +32,23 @@ def sample(**change):
         return Trajectory(rng.standard_normal((4, 3)), rng.standard_normal((3, 2)), rng.standard_normal((4, 1)), steps)
 
     steps = np.array([0.1, 0.2, 1.0 / 3.0])
-    numbers = rng.standard_normal((2, 7)).tolist()
-    log = tuple(IterationLog(i, *row[:5], i + 1, *row[5:]) for i, row in enumerate(numbers))
+    other = Trajectory(
+        rng.standard_normal((4, 3)), rng.standard_normal((3, 2)), rng.standard_normal((4, 1)), 2.0 * steps
+    )
+    numbers = rng.standard_normal((2, 11)).tolist()
+    log = tuple(
+        IterationLog(i, *row[:5], outcome, i + 1, *row[5:], limited=i)
+        for (i, row), outcome in zip(enumerate(numbers), ("rejected", "final"), strict=True)
+    )
     values = {
         "status": Status.MAX_ITERATIONS, "message": "Über die Zeit.", "cost": 1.0 / 3.0, "iterations": 1,
         "gradient_norm": 1e-300, "trajectory": trajectory(), "gains": rng.standard_normal((3, 2, 3)),
-        "constraint_violation": 5e-324, "log": log, "iterates": (trajectory(), trajectory()), "seconds": 0.1 + 0.2,
-        "problem": "reach", "method": "slq", "options": {"tol": 1e-6, "parameters": {"height": 2.5, "engine": "x"}},
+        "lower": np.array([[-1.0 / 3.0, -math.inf]] * 3), "upper": np.array([[1.0 / 7.0, math.inf]] * 3),
+        "constraint_violation": 5e-324, "violations": {"a gap/wide": rng.standard_normal(4)},
+        "multipliers": {"controls": rng.standard_normal((3, 2)), "a gap/wide": rng.standard_normal(4)},
+        "log": log, "iterates": (trajectory(), other), "seconds": 0.1 + 0.2, "compile_seconds": 1.0 / 9.0,
+        "problem": "reach", "method": "slq", "options": {"tol": 1e-6, "eta": None}, "error": "Traceback\n  ...\n",
+        "parameters": {"height": 2.5, "engine": "x"}, "space": StateSpace.of(4, 3, [(ROTATION, range(4), range(3))]),
         "names": {"states": ("a", "b", "c"), "controls": ("u", "v"), "outputs": ("y",)},
         "scene": Scene(bytes(range(256)), (2, 0), "arm"),
     }  # fmt: skip
@@ -47,6 +63,10 @@ def assert_same(a, b):
             assert_same(getattr(a, field.name), getattr(b, field.name))
     elif isinstance(a, np.ndarray):
         assert a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+    elif isinstance(a, dict):
+        assert list(a) == list(b)
+        for key in a:
+            assert_same(a[key], b[key])
     elif isinstance(a, tuple):
         assert len(a) == len(b)
         for one, other in zip(a, b, strict=True):
@@ -67,6 +87,14 @@ def assert_same(a, b):
         {"scene": None},
         {"iterates": ()},
         {"scene": None, "iterates": (), "log": (), "options": {}, "names": {}},
+        {"gains": None},
+        {"space": None, "multipliers": {}, "violations": {}, "error": ""},
+        {"space": StateSpace.plain(3)},
+        {
+            "space": StateSpace.of(
+                15, 11, [(MOTION, range(7), range(6)), (TURN, (9, 10), (6,)), (SLIDE, (12, 11), (8,))]
+            )
+        },
         {"cost": math.inf, "gradient_norm": math.inf, "status": Status.DIVERGED},
         {"cost": math.nan},
         *({"status": status} for status in Status),
@@ -98,7 +126,8 @@ def test_a_solved_problem_survives(engine, tmp_path):
     after = mjslq.load(str(tmp_path / "hop.npz"))
     assert_same(after, before)
     assert after.scene.model == problem.scene().model and len(after.scene.model) > 1000
-    assert after.options["parameters"]["height"] == 1.0
+    assert after.parameters["height"] == 1.0
+    assert after.policy.horizon == before.trajectory.horizon
     assert problem.cost(after.trajectory) == before.cost
 
 
@@ -236,7 +265,7 @@ def write_header_that_is_a_list(path):
 
 def write_header_alone(path):
     with path.open("wb") as stream:
-        np.savez(stream, header=np.array(json.dumps({"format": 1})))
+        np.savez(stream, header=np.array(json.dumps({"format": storage.FORMAT})))
 
 
 def make_folder(path):
@@ -251,7 +280,7 @@ def make_folder(path):
 def test_other_files_are_refused_in_one_sentence(write, tmp_path):
     path = tmp_path / "other.npz"
     write(path)
-    with pytest.raises(ValueError, match=r"other.npz is .*not a result saved by mjslq") as caught:
+    with pytest.raises(ValueError, match=r"other.npz is .*not a (result saved by|whole result of) mjslq") as caught:
         mjslq.load(path)
     one_sentence(caught, path)
 
@@ -286,11 +315,58 @@ def test_damaged_files_are_refused(tmp_path):
 def test_files_of_a_later_version_ask_for_an_upgrade(tmp_path, monkeypatch):
     path = tmp_path / "one.npz"
     with monkeypatch.context() as later:
-        later.setattr(result_module, "FORMAT", 99)
+        later.setattr(storage, "FORMAT", 99)
         sample().save(path)
-    with pytest.raises(ValueError, match=r"one.npz has format 99, .* reads up to 1; upgrade") as caught:
+    with pytest.raises(ValueError, match=r"one.npz has format 99, .* reads format \d+; upgrade mjslq") as caught:
         mjslq.load(path)
     one_sentence(caught, path)
+
+
+def test_files_of_an_earlier_version_are_to_be_made_anew(tmp_path, monkeypatch):
+    path = tmp_path / "one.npz"
+    with monkeypatch.context() as earlier:
+        earlier.setattr(storage, "FORMAT", 1)
+        sample().save(path)
+    with pytest.raises(
+        ValueError, match=r"one.npz has format 1, .* reads format \d+; solve the problem again"
+    ) as caught:
+        mjslq.load(path)
+    one_sentence(caught, path)
+
+
+@pytest.mark.parametrize("field", ["message", "gains", "trajectory_X", "lower", "iterates_dt", "names"])
+def test_files_that_lack_something_name_it(field, tmp_path):
+    """Gains may be missing, for there are methods without; nothing else."""
+    path = tmp_path / "one.npz"
+    sample().save(path)
+    with np.load(path) as data:
+        arrays = dict(data)
+    if field in arrays:
+        del arrays[field]
+    else:
+        header = json.loads(str(arrays["header"]))
+        del header[field]
+        arrays["header"] = np.array(json.dumps(header))
+    with path.open("wb") as stream:
+        np.savez(stream, **arrays)
+    if field == "gains":
+        assert mjslq.load(path).gains is None
+        return
+    with pytest.raises(ValueError, match=f"one.npz is not a whole result of mjslq: '{field}' is missing") as caught:
+        mjslq.load(path)
+    one_sentence(caught, path)
+
+
+def test_errors_of_the_program_are_not_taken_for_a_foreign_file(tmp_path, monkeypatch):
+    path = tmp_path / "one.npz"
+    sample().save(path)
+
+    def broken(**fields):
+        raise TypeError("of the program")
+
+    monkeypatch.setattr(storage, "Result", broken)
+    with pytest.raises(TypeError, match="of the program"):
+        mjslq.load(path)
 
 
 # No pickle

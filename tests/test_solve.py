@@ -1,6 +1,7 @@
 """`solve`: every way in which it can end, what it logs and prints, and what it refuses."""
 
 import dataclasses
+import functools
 import io
 import math
 
@@ -9,8 +10,11 @@ import pytest
 from small_problems import DOUBLE_INTEGRATOR, PENDULUM, drag, linear, pendulum, pendulum_equations
 
 import mjslq
-from mjslq import FunctionDynamics, Problem, Status, costs, problems, solve
+from mjslq import FunctionDynamics, Problem, Status, costs, problems
 from mjslq.solvers.linesearch import SEARCHES
+
+solve = functools.partial(mjslq.solve, method="slq")
+
 
 # How a solve ends
 
@@ -40,14 +44,15 @@ def test_a_start_that_diverges_is_a_status(f, knot):
     assert result.status is Status.DIVERGED and not result.success
     assert result.cost == math.inf and result.gradient_norm == math.inf and result.iterations == 0
     assert result.trajectory.diverged_at is not None
-    assert f"step {result.trajectory.diverged_at}" in result.message and "U0" in result.message
+    assert f"step {result.trajectory.diverged_at}" in result.message and "guess=" in result.message
+    assert result.gains is None and result.log == () and "controls" not in result.multipliers
 
 
 def test_a_cost_that_is_not_finite_is_a_status():
     problem = Problem(DOUBLE_INTEGRATOR, 5, [1.0, 0.0], [costs.Control(1.0), costs.Function(lambda x, u, t: math.inf)])
     result = solve(problem)
-    assert result.status is Status.DIVERGED and "cost is not finite" in result.message
-    assert "rollout blew up" not in result.message  # it did not
+    assert result.status is Status.DIVERGED and "cost of the start is not finite" in result.message
+    assert "blew up" not in result.message  # it did not
 
 
 def test_derivatives_that_are_not_finite_are_a_status():
@@ -58,7 +63,7 @@ def test_derivatives_that_are_not_finite_are_a_status():
     result = solve(pendulum(dynamics=dynamics))
     assert result.status is Status.DIVERGED
     assert "derivatives along the trajectory are not finite" in result.message
-    assert "rollout blew up" not in result.message  # it did not
+    assert "blew up" not in result.message  # it did not
     assert np.isfinite(result.cost) and np.isfinite(result.trajectory.X).all()
 
 
@@ -71,7 +76,7 @@ def test_a_wrong_jacobian_ends_in_a_step_too_small(line_search):
     problem = Problem(dynamics, 10, [0.0, 0.0], [costs.Control(1e-3), costs.State([0.0, 1.0], [0.0, 1.0], "terminal")])
     result = solve(problem, line_search=line_search, max_iterations=20)
     assert result.status is Status.STEP_TOO_SMALL
-    assert result.iterations == 0
+    assert result.iterations == 0 and [entry.outcome for entry in result.log] == ["failed"]
     assert "check_derivatives=True" in result.message
 
 
@@ -146,6 +151,8 @@ def test_log_describes_each_iterate():
         assert entry.gradient_norm == pytest.approx(np.linalg.norm(problem.gradient(trajectory)))
         assert entry.slope < 0.0
     assert result.log[-1].alpha == 0.0 and all(0.0 < entry.alpha <= 1.0 for entry in result.log[:-1])
+    assert [entry.outcome for entry in result.log] == ["accepted"] * result.iterations + ["final"]
+    assert all(entry.predicted < 0.0 for entry in result.log[:-1])
     assert all(entry.evaluations >= 1 for entry in result.log[:-1])
     seconds = [entry.seconds for entry in result.log] + [result.seconds]
     assert seconds == sorted(seconds)
@@ -227,11 +234,11 @@ def test_derivative_check_lets_right_ones_through(make):
 @pytest.mark.parametrize(
     "change, sentence",
     [
-        ({"method": "sql"}, r"unknown method 'sql'; there are: slq.*; did you mean 'slq'\?"),
+        ({"method": "sql"}, r"unknown method 'sql'; there are: .*slq.*; did you mean 'slq'\?"),
         ({"linesearch": "armijo"}, "unknown option for method 'slq' 'linesearch'; there are: line_search, step, .*tol"),
         ({"linesearch": "armijo"}, r"did you mean 'line_search'\?"),
         ({"line_search": "armja"}, "unknown line_search 'armja'; there are: quadratic-fit, armijo, goldstein, wolfe"),
-        ({"step": "loop"}, "unknown step 'loop'; there are: auto, open-loop, closed-loop"),
+        ({"step": "loop"}, "unknown step 'loop'; there are: closed-loop, open-loop"),
         ({"acceleration": "no"}, "acceleration must be"),
         ({"tol": -1.0}, "tol.* must be a number of at least 0, got -1.0"),
         ({"tol": math.nan}, "tol.* must be a number of at least 0, got nan"),
@@ -252,8 +259,9 @@ def test_wrong_arguments_are_refused_in_one_sentence(change, sentence):
 
 def test_methods_tell_what_they_take():
     methods = mjslq.methods()
-    own = {"line_search": "quadratic-fit", "step": "auto", "acceleration": True, "multiplier": None, "damping": 1e-3}
-    assert methods["slq"].options == own
+    search = {"line_search": "quadratic-fit", "step": "closed-loop", "acceleration": True}
+    assert methods["slq"].options == search | {"multiplier": None, "damping": 1e-3, "rescue": True}
+    assert methods["newton"].options == search | {"modification": "multiplier", "costates": "sweep"}
     assert methods["slq"].summary and methods["slq"].needs
     methods.clear()  # a copy
     assert "slq" in mjslq.methods()
@@ -270,6 +278,7 @@ def test_any_number_of_threads_gives_the_same_result(line_search):
     assert one.iterations == three.iterations
     np.testing.assert_array_equal(one.trajectory.U, three.trajectory.U)
     np.testing.assert_array_equal(one.gains, three.gains)
+    assert [entry.evaluations for entry in one.log] == [entry.evaluations for entry in three.log]
 
 
 def test_what_the_caller_asks_for_goes_before_what_the_problem_asks_for():
@@ -282,4 +291,7 @@ def test_what_the_caller_asks_for_goes_before_what_the_problem_asks_for():
 
 
 def test_options_of_a_problem_that_a_method_does_not_know_are_passed_over():
-    assert solve(dataclasses.replace(pendulum(), options={"of_another_method": 1})).success
+    problem = dataclasses.replace(pendulum(), options={"radius": 0.5, "line_search": "armijo"})
+    result = solve(problem)
+    assert result.success and result.options["line_search"] == "armijo" and "radius" not in result.options
+    assert solve(problem, method="trust-region").log[0].radius == 0.5

@@ -72,7 +72,8 @@ def test_the_hard_case(slight):
 
 def test_a_saddle_without_any_gradient_is_left():
     found = in_ball(diagonal([-1.0, 2.0], [0.0, 0.0]), 3.0, np.ones(1))
-    assert np.abs(found.found.lq.U) == pytest.approx(np.array([[3.0, 0.0]]), abs=1e-6) and found.value == pytest.approx(-4.5)
+    assert np.abs(found.found.lq.U) == pytest.approx(np.array([[3.0, 0.0]]), abs=1e-6)
+    assert found.value == pytest.approx(-4.5)
 
 
 def test_stages_have_to_be_positive_definite_each():
