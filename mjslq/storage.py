@@ -107,7 +107,7 @@ def _result_of(header: dict[str, Any], arrays: dict[str, Array]) -> Result:
         status=Status(header["status"]),
         log=tuple(IterationLog(**entry) for entry in header["log"]),
         trajectory=_unpack("trajectory", arrays)[0],
-        iterates=_unpack("iterates", arrays),
+        iterates=_unpack("iterates", arrays) if "iterates_X" in arrays else (),
         gains=arrays.get("gains"),
         lower=arrays["lower"],
         upper=arrays["upper"],
@@ -128,8 +128,6 @@ def _pack(name: str, trajectories: Sequence[Trajectory]) -> dict[str, Array]:
 
 
 def _unpack(name: str, arrays: dict[str, Array]) -> tuple[Trajectory, ...]:
-    if f"{name}_X" not in arrays:
-        return ()
     stacked = [arrays[f"{name}_{part}"] for part in (*_PARTS, "diverged_at")]
     return tuple(Trajectory(x, u, y, dt, None if at < 0 else int(at)) for x, u, y, dt, at in zip(*stacked, strict=True))
 
