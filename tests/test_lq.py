@@ -227,14 +227,14 @@ def test_a_multiplier_mends_an_indefinite_control_weight():
 
 @given(sizes, seeds, st.floats(1e-6, 1e4), st.floats(1e-6, 1e4))
 def test_shifts_are_on_the_diagonals_of_R_and_Q(size, seed, sigma, tau):
-    """Control shifts may differ from step to step, and refinement solves the shifted problem, not the plain one."""
+    """Control shifts may differ from one to the next, and refinement solves the shifted problem, not the plain one."""
     nx, nu, N = size
     rng = np.random.default_rng(seed)
     lq, _ = random_problem(rng, *size)
-    by_step = sigma * rng.uniform(0.0, 1.0, N)
-    whole = lq._replace(R=lq.R + by_step[:, None, None] * np.eye(nu), Q=lq.Q + tau * np.eye(nx))
+    shift = sigma * rng.uniform(0.0, 1.0, (N, nu))
+    whole = lq._replace(R=lq.R + shift[:, :, None] * np.eye(nu), Q=lq.Q + tau * np.eye(nx))
     for refinements in (None, 0, 2):
-        ours, twin = solve(lq, by_step, tau, refinements=refinements), solve(whole)
+        ours, twin = solve(lq, shift, tau, refinements=refinements), solve(whole)
         for name in ("K", "k", "X", "U", "P", "p"):
             a, b = getattr(ours, name), getattr(twin, name)
             np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-8 * np.abs(b).max(), err_msg=name)
