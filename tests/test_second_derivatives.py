@@ -119,6 +119,24 @@ def test_mujoco_with_a_ball_joint_and_a_sensor():
     check(dynamics, dynamics.rollout(x0, rng.standard_normal((5, 3))), 2e-5)
 
 
+@pytest.mark.parametrize("jacobian", ["inverse", "transition"])
+def test_next_to_a_limit_they_are_those_from_inside(jacobian):
+    """MuJoCo clamps beyond it, where differences would see B vanish; optimal controls are often there."""
+    limited = BALL.replace('<motor joint="h"/>', '<motor joint="h" ctrlrange="-.5 .3"/>')
+    clamped, free = (MujocoDynamics.from_xml(xml, jacobian=jacobian) for xml in (limited, BALL))
+    rng = np.random.default_rng(4)
+    x0 = clamped.integrate(np.array([1.0, 0, 0, 0, 0, 0, 0, 0, 0]), rng.standard_normal(8))
+    U = 0.2 * rng.standard_normal((6, 3))
+    U[:, 2] = -0.5, -0.5 + 1e-9, -0.5 + 9e-6, 0.3, 0.3 - 1e-7, 0.0
+    costates = rng.standard_normal((7, 8))
+    ours, theirs = (d.hessian(d.rollout(x0, U), costates) for d in (clamped, free))
+    for name, one, other in zip(ours._fields, ours, theirs, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-3 * np.abs(theirs.xx).max(), err_msg=name)
+    beyond = U.copy()
+    beyond[:, 2] = -0.5 - 1e-4  # as limits that were lifted allow: there is nothing to see there
+    assert not np.abs(clamped.hessian(clamped.rollout(x0, beyond), costates).uu[:, 2]).max() > 1e-6
+
+
 def test_steps_apart_from_each_other():
     """Knots of a state guess, that need not follow each other."""
     dynamics = MujocoDynamics.from_xml(BALL)

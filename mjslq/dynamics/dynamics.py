@@ -169,6 +169,10 @@ class Dynamics(ABC):
             linearization = self.linearize(trajectory)
         if ends is None:
             ends = trajectory.X[1:]
+        inward = self._inward(trajectory.U)
+        if inward.any():
+            ends = self.integrate(ends, np.einsum("nij,nj->ni", linearization.B, inward))
+            trajectory = Trajectory(trajectory.X, trajectory.U + inward, trajectory.Y, trajectory.dt)
         N, ndx, size = trajectory.horizon, self.ndx, self.ndx + self.nu
         H = np.zeros((N + 1, size, size))
         for i in range(size):
@@ -176,6 +180,13 @@ class Dynamics(ABC):
                 g = self._gradients_beside(trajectory, linearization, ends, i, sign * DIFFERENCE, costates, weights)
                 H[:, i, :] += sign / (2.0 * DIFFERENCE) * g
         return curvature_of(0.5 * (H + H.swapaxes(1, 2)), ndx)
+
+    def _inward(self, U: Array) -> Array:
+        """How to move controls that are next to a limit, beyond which an engine may clamp them, to take differences."""
+        lower, upper = self.control_limits.T
+        wide = upper - lower > 4.0 * DIFFERENCE
+        up, down = wide & (lower <= U) & (lower + DIFFERENCE > U), wide & (upper >= U) & (upper - DIFFERENCE < U)
+        return DIFFERENCE * (up.astype(np.float64) - down)
 
     def _gradients_beside(
         self,
