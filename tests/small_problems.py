@@ -18,10 +18,10 @@ PENDULUM = FunctionDynamics(pendulum_equations, 2, 1, 0.05)
 DOUBLE_INTEGRATOR = FunctionDynamics(lambda x, u: np.stack([x[1], u[0]]), 2, 1, 0.1)
 
 
-def pendulum(x0=(0.0, 0.0), N=40, dynamics=PENDULUM, **options):
+def pendulum(x0=(0.0, 0.0), N=40, dynamics=PENDULUM, bounds=None, **options):
     """Raise the pendulum to an angle at which gravity still pulls."""
     terms = [costs.Control(0.1), costs.State([200.0, 20.0], [2.0, 0.0], "terminal")]
-    return Problem(dynamics, N, x0, terms, name="pendulum", options=options)
+    return Problem(dynamics, N, x0, terms, bounds, name="pendulum", options=options)
 
 
 def linear():
