@@ -16,6 +16,7 @@ from mjslq.log import IterationLog
 from mjslq.options import COMMON, RECORDS, Stopping, names
 from mjslq.problem import Problem
 from mjslq.result import Result
+from mjslq.solvers.auto import Auto
 from mjslq.solvers.gradient import Gradient
 from mjslq.solvers.interrupts import Interrupts
 from mjslq.solvers.iterate import Iterate
@@ -50,6 +51,10 @@ class MethodInfo:
 
 
 METHODS = {
+    "auto": MethodInfo(
+        Auto, "Gauss-Newton first, second derivatives where it is slow, a multiplier where the model is poor",
+        "first derivatives, second ones where needed", RECORDS["auto"], True,
+    ),
     "slq": MethodInfo(
         SLQ, "Gauss-Newton by LQ tracking sweeps, with a line search", "first derivatives", RECORDS["slq"], True
     ),

@@ -18,6 +18,7 @@ STEPS = ("closed-loop", "open-loop")
 MULTIPLIERS = ("control", "state")
 MODIFICATIONS = ("multiplier", "blend", "stage")
 COSTATES = ("sweep", "adjoint")
+CURVATURES = ("auto", "always", "never")
 HESSIANS = ("newton", "gauss-newton")
 
 
@@ -63,6 +64,17 @@ class Search:
         choose("line_search", self.line_search, LINE_SEARCHES)
         choose("step", self.step, STEPS)
         _check_flag("acceleration", self.acceleration)
+
+
+@dataclass(frozen=True)
+class AutoOptions:
+    """Options of `auto`."""
+
+    curvature: str = "auto"
+    """"auto": second derivatives where Gauss-Newton is slow; "always", "never"."""
+
+    def __post_init__(self) -> None:
+        choose("curvature", self.curvature, CURVATURES)
 
 
 @dataclass(frozen=True)
@@ -129,6 +141,7 @@ class GradientOptions:
 
 
 RECORDS: dict[str, type[Any]] = {
+    "auto": AutoOptions,
     "slq": SLQOptions,
     "newton": NewtonOptions,
     "trust-region": TrustRegionOptions,

@@ -101,13 +101,15 @@ class BoxSolution(NamedTuple):
     sweeps: int
     """Riccati sweeps spent."""
     converged: bool
-    """Whether the minimizer was reached within `ROUNDS` sweeps."""
+    """Whether the minimizer was reached."""
 
 
 def solve_in_box(
-    problem: LQProblem, box: Box, control_shift: float | Array = 0.0, state_shift: float = 0.0
+    problem: LQProblem, box: Box, control_shift: float | Array = 0.0, state_shift: float = 0.0, rounds: int = ROUNDS
 ) -> BoxSolution:
     """Minimize within limits, between which zero must lie; the shifts are those of `riccati.solve`.
+
+    After `rounds` sweeps the best controls found have to do; the answer says so.
 
     Raises NotPositiveDefinite when the problem without the held controls has no minimizer.
     """
@@ -125,7 +127,7 @@ def solve_in_box(
         return BoxSolution(lq, held, 1, True)
     shifted = _shifted(problem, control_shift, state_shift)
     gradient = _gradient(shifted, X, U)
-    for sweeps in range(1, ROUNDS + 1):
+    for sweeps in range(1, rounds + 1):
         if inside:
             X, U = lq.X, box.clip(lq.U)
         else:
@@ -138,7 +140,7 @@ def solve_in_box(
         held = pushed
         lq = _moved(solve(shifted.about(X, U), held=held), X, U)
         inside = box.contains(lq.U)
-    return BoxSolution(lq._replace(X=X, U=U, k=U + np.einsum("nij,nj->ni", lq.K, X[:-1])), held, ROUNDS, False)
+    return BoxSolution(lq._replace(X=X, U=U, k=U + np.einsum("nij,nj->ni", lq.K, X[:-1])), held, rounds, False)
 
 
 def _shifted(problem: LQProblem, control_shift: float | Array, state_shift: float) -> LQProblem:
@@ -146,8 +148,8 @@ def _shifted(problem: LQProblem, control_shift: float | Array, state_shift: floa
     if not (np.any(control_shift) or state_shift):
         return problem
     (N, nu), nx = problem.r.shape, problem.q.shape[1]
-    by_step = np.broadcast_to(control_shift, (N,))[:, None, None]
-    return problem._replace(R=problem.R + by_step * np.eye(nu), Q=problem.Q + state_shift * np.eye(nx))
+    by_control = np.broadcast_to(control_shift, (N, nu))[:, :, None]
+    return problem._replace(R=problem.R + by_control * np.eye(nu), Q=problem.Q + state_shift * np.eye(nx))
 
 
 def _gradient(problem: LQProblem, X: Array, U: Array) -> Array:

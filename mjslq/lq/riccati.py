@@ -4,12 +4,12 @@ Notation
 --------
     P  (N+1, nx, nx)  p  (N+1, nx)      cost-to-go 1/2 x'P x + p'x
     K  (N, nu, nx)    k  (N, nu)        the minimizer u_n = k_n - K_n x_n
-    sigma_n, tau                        shifts: Levenberg-Marquardt multipliers on controls and states
+    sigma  (N, nu)    tau               shifts: Levenberg-Marquardt multipliers on controls and states
     held                                controls that stay at zero: their rows of K and k vanish
 
 Recursion, from P_N = Q_N + tau I, p_N = q_N down
 -------------------------------------------------
-    G = R_sigma + B'P B,   K = G^-1 (M + B'P A),   k = -G^-1 (r + B'(p + P c)),   R_sigma = R_n + sigma_n I
+    G = R_sigma + B'P B,   K = G^-1 (M + B'P A),   k = -G^-1 (r + B'(p + P c)),   R_sigma = R_n + diag(sigma_n)
     F = A - B K
     P <- Q + tau I - K'M - M'K + K'R_sigma K + F'P F       (Joseph's form)
     p <- q - K'r + F'(p + P c)
@@ -58,7 +58,7 @@ def solve(
     problem : LQProblem
         Arrays must be C-contiguous float64.
     control_shift : float or array
-        sigma >= 0, added to the diagonal of the control Hessians; a number, or one a step. Shape () | (N,).
+        sigma >= 0, added to the diagonal of the control Hessians. Shape () | (N, 1) | (nu,) | (N, nu).
     state_shift : float
         tau >= 0, added to the diagonal of the state Hessians.
     held : array of bool
@@ -74,7 +74,7 @@ def solve(
     """
     A, B, Q, R, M, q, r, c = problem
     N, nx, nu = B.shape
-    shift = np.full(N, control_shift, dtype=np.float64)
+    shift = np.full((N, nu), control_shift, dtype=np.float64)
     mask = np.zeros((N, nu), np.bool_) if held is None else held
     K, L, F = np.empty((N, nu, nx)), np.zeros((N, nu, nu)), np.empty((N, nx, nx))
     P = np.empty((N + 1, nx, nx))
@@ -91,7 +91,7 @@ def solve(
         residual_q, residual_r, residual_c = np.empty_like(q), np.empty_like(r), np.empty_like(c)
         for _ in range(refinements):
             linear_terms_about(A, B, Q, R, M, q, r, c, X, U, residual_q, residual_r, residual_c)
-            residual_r += shift[:, None] * U
+            residual_r += shift * U
             residual_q += state_shift * X
             _vectors(A, B, residual_q, residual_r, residual_c, mask, K, L, F, P, *correction)
             X += correction[2]
@@ -118,13 +118,12 @@ def _factorize(A, B, Q, R, M, shift, state_shift, held, K, L, F, P):
     for i in range(nx):
         P[N, i, i] += state_shift
     for n in range(N - 1, -1, -1):
-        mu = shift[n]
         multiply(P[n + 1], B[n], PB)
         multiply_transposed(PB, B[n], G)
         for i in range(nu):
             for j in range(i + 1):
                 G[i, j] = 0.5 * (G[i, j] + G[j, i]) + R[n, i, j]
-            G[i, i] += mu
+            G[i, i] += shift[n, i]
         multiply_transposed(PB, A[n], K[n])
         for i in range(nu):
             for j in range(nx):
@@ -139,11 +138,11 @@ def _factorize(A, B, Q, R, M, shift, state_shift, held, K, L, F, P):
         for i in range(nx):
             for j in range(nx):
                 F[n, i, j] = A[n, i, j] - BK[i, j]
-        # K'((R + mu I) K / 2 - M) plus its transpose is K'(R + mu I) K - K'M - M'K
+        # K'(R_sigma K / 2 - M) plus its transpose is K'R_sigma K - K'M - M'K
         multiply(R[n], K[n], RK)
         for i in range(nu):
             for j in range(nx):
-                RK[i, j] = 0.5 * (RK[i, j] + mu * K[n, i, j]) - M[n, i, j]
+                RK[i, j] = 0.5 * (RK[i, j] + shift[n, i] * K[n, i, j]) - M[n, i, j]
         multiply_transposed(K[n], RK, KRK)
         multiply(P[n + 1], F[n], PF)
         multiply_transposed(F[n], PF, P[n])

@@ -73,7 +73,7 @@ class _Ball(NamedTuple):
     def sweep(self, alpha: float) -> BoxSolution | None:
         """v(alpha), None where there is none."""
         try:
-            found = solve_in_box(self.problem, self.box, alpha * self.weights)
+            found = solve_in_box(self.problem, self.box, alpha * self.weights[:, None])
         except NotPositiveDefinite:
             return None
         return found if np.isfinite(found.lq.U).all() else None
@@ -87,7 +87,7 @@ class _Ball(NamedTuple):
             q=np.zeros_like(self.problem.q), r=np.ascontiguousarray(-side), c=np.zeros_like(self.problem.c)
         )
         try:
-            return solve(zeros, alpha * self.weights, held=found.held).U
+            return solve(zeros, alpha * self.weights[:, None], held=found.held).U
         except NotPositiveDefinite:
             return None
 

@@ -7,11 +7,16 @@ from mjslq.problems.swing_up import swing_up
 
 
 def double_pendulum(
-    shoulder: float = 6.0, elbow: float = 3.0, horizon: int = 150, duration: float = 3.0, effort: float = 0.01
+    shoulder: float = 6.0,
+    elbow: float = 3.0,
+    horizon: int = 150,
+    duration: float = 3.0,
+    effort: float = 0.01,
+    running: float = 1.0,
 ) -> Problem:
     """Swing up within `duration` [s], torques within `shoulder` and `elbow` [Nm] (0: none).
 
     `effort` weighs the torques [1/(Nm)^2 s].
     """
     limits = {"shoulder": shoulder, "elbow": elbow}
-    return swing_up("double_pendulum", limits, [100.0, 100.0, 10.0, 10.0], horizon, duration, effort)
+    return swing_up("double_pendulum", limits, [100.0, 100.0, 10.0, 10.0], horizon, duration, effort, running)

@@ -1,6 +1,6 @@
 """Parts of the swing-ups: a model of the assets whose motors get limits, hanging first and upright in the end.
 
-    J = h sum_n 1/2 effort |u_n|^2 + 1/2 |x_N|^2_W,    x = 0 upright at rest
+    J = h sum_n [ 1/2 running |x_n|^2_W/100 + 1/2 effort |u_n|^2 ] + 1/2 |x_N|^2_W,    x = 0 upright at rest
 
 The motors are too weak to lift the links at once: they have to be swung.
 """
@@ -18,7 +18,13 @@ from mjslq.validation import count, positive
 
 
 def swing_up(
-    name: str, limits: dict[str, float], weights: list[float], horizon: int, duration: float, effort: float
+    name: str,
+    limits: dict[str, float],
+    weights: list[float],
+    horizon: int,
+    duration: float,
+    effort: float,
+    running: float,
 ) -> Problem:
     """The swing-up of assets/`name`.xml; `limits` by the motor's name, 0 for none."""
     N = count("horizon", horizon)
@@ -34,7 +40,11 @@ def swing_up(
         dynamics=dynamics,
         horizon=N,
         x0=dynamics.keyframe("hanging"),
-        costs=[Control(positive("effort", effort)), State(weights, upright, when="terminal")],
+        costs=[
+            Control(positive("effort", effort)),
+            State(running * np.array(weights) / 100.0, upright),
+            State(weights, upright, when="terminal"),
+        ],
         name=name,
         describe=lambda trajectory: describe(trajectory, dynamics.nv),
     )

@@ -55,10 +55,11 @@ class Trial:
         step: Callable[[Sequence[float]], Sequence[Iterate]],
         slope_at: Slope | None = None,
         at_once: int = 1,
+        smallest: float = SMALLEST,
     ) -> None:
         self.here, self.slope, self.expected = here, slope, expected
         self._merit, self.start = merit, merit.value(here)
-        self._step, self._slope_at, self._at_once = step, slope_at, at_once
+        self._step, self._slope_at, self._at_once, self.smallest = step, slope_at, at_once, smallest
         self._known: dict[float, Iterate] = {}
         self._asked: dict[float, Iterate] = {}
 
@@ -138,7 +139,7 @@ def by_gradient_norm(trial: Trial) -> float | None:
 def armijo(trial: Trial) -> float | None:
     """Backtracking by halves."""
     alpha = 1.0
-    while alpha > SMALLEST:
+    while alpha > trial.smallest:
         trial.ahead(alpha, 0.5 * alpha, 0.25 * alpha, 0.125 * alpha)
         if trial.descends(alpha, C1):
             return alpha
@@ -157,7 +158,7 @@ def goldstein(trial: Trial) -> float | None:
         else:
             return alpha
         alpha = 0.5 * (low + high)
-        if alpha < SMALLEST:
+        if alpha < trial.smallest:
             return None
     return low or None  # the two bounds met at a kink: the longest step known to descend
 
@@ -177,7 +178,7 @@ def wolfe(trial: Trial) -> float | None:
             else:
                 return alpha
         alpha = 0.5 * (low + high)
-        if alpha < SMALLEST:
+        if alpha < trial.smallest:
             return None
     return low or None
 
@@ -190,7 +191,7 @@ def quadratic_fit(trial: Trial) -> float | None:
     if abs(trial.cost(1.0) - trial.start - trial.expected) <= TRUST * abs(trial.expected):
         return 1.0
     alpha = 1.0
-    while alpha > SMALLEST:
+    while alpha > trial.smallest:
         trial.ahead(alpha, 0.5 * alpha, 0.25 * alpha, 0.125 * alpha)
         start, middle, end = trial.start, trial.cost(0.5 * alpha), trial.cost(alpha)
         if min(middle, end) < start:

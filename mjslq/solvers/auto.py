@@ -1,0 +1,245 @@
+"""`auto`: Gauss-Newton first, second derivatives where its tail is slow, multipliers where the model is poor.
+
+Model
+-----
+    H(theta) = H_GN + theta (H_exact - H_GN)       theta = 0 while Gauss-Newton does well, then the largest of
+                                                   1, 1/2, 1/4, ... with which the sweep finds a minimizer
+
+H_GN is the Gauss-Newton Hessian, H_exact has the curvature of dynamics and residuals too, weighed by the costates of
+the sweep before (those of sequential quadratic programming). theta may double from an iteration to the next. At a
+solution theta = 1, and the last steps are Newton's own.
+
+Multipliers
+-----------
+    model + mu_x/2 |x|^2 + mu_u/2 |u|^2            |x|^2 = sum_n x_bar'x_bar,  |u|^2 = sum_n u_bar'D u_bar, D the
+                                                   diagonal of the control weights
+
+The natural scale of a multiplier is the one with which it weighs as much as the whole model along the direction,
+-g'd / |.|^2. A step of at most 1/4 raises mu_x to that scale at once: the states then keep to where the model holds,
+while the controls may do what it takes. Limits among which the minimizer is not found in a few sweeps (almost all controls
+at a limit) raise mu_u, and so does a model without a minimizer. Full steps divide both by 5; below a thousandth of the
+scale they are zero. Where no step descends, mu_x grows by 2, 4, 8, ... until one does.
+
+Second derivatives are taken in when full steps shrink the expected decrease by less than `SLOW` twice in a row, or steps
+have to be shortened as often: then Gauss-Newton converges slowly, or points the wrong way. A direction that has a
+multiplier never counts as converged.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mjslq.lq.box import BoxSolution, solve_in_box
+from mjslq.lq.problem import LQProblem, NotPositiveDefinite
+from mjslq.options import AutoOptions
+from mjslq.solvers.iterate import Direction, Iterate
+from mjslq.solvers.linesearch import C1, Trial, in_roundoff, search
+from mjslq.solvers.merit import Merit
+from mjslq.solvers.method import Method, Step
+from mjslq.solvers.steps import candidates, close_gaps
+from mjslq.validation import Array
+
+SLOW = 0.3
+"""Factor by which a full step has to shrink the expected decrease."""
+PATIENCE = 2
+"""Slow iterations in a row, after which second derivatives are taken in."""
+LEAST_THETA = 0.01
+"""Share of the curvature below which none is taken in."""
+SWEEPS = 15
+"""Sweeps within which a model's minimizer among the limits has to be found."""
+SHORT, SHRINK, GROW, NEGLIGIBLE = 0.25, 5.0, 4.0, 1e-3
+SMALLEST = 1e-3
+"""Step below which the line search gives up."""
+RAISES = 40
+"""Times that mu_u is raised for one direction, at most."""
+RESCUES = 14
+"""Times that mu_x is raised where no step descends, at most."""
+
+
+class Multipliers(NamedTuple):
+    """mu_x and mu_u, or their natural scales."""
+
+    state: float = 0.0
+    control: float = 0.0
+
+
+class Candidate(NamedTuple):
+    """Minimizer of a model, and what it was found with."""
+
+    found: BoxSolution
+    model: LQProblem
+    theta: float
+    mu: Multipliers
+    decrease: float
+    """-g'd, the slope of the model."""
+    natural: Multipliers
+    """Natural scales of the multipliers."""
+
+    @property
+    def fine(self) -> bool:
+        """Whether it is the minimizer, and descends."""
+        return self.found.converged and self.decrease >= 0.0
+
+
+class Auto(Method):
+    """The method, with its multipliers, its share of the curvature and the costates of the sweep before."""
+
+    def __init__(self, options: AutoOptions) -> None:
+        self.options = options
+        self.mu, self.theta = Multipliers(), 1.0
+        self._second_from: int | None = 0 if options.curvature == "always" else None
+        self._slow, self._last, self._iterations, self._damped = 0, np.inf, 0, 0
+        self._costates: Array | None = None
+        self._exact: LQProblem | None = None
+        self._latest: Candidate | None = None
+
+    def direction(self, here: Iterate) -> Direction:
+        """Minimize the model at the head of this file."""
+        self._exact = None
+        if self._second_from is not None:
+            self._exact = _finite(here.hamiltonian(self._costates_for(here)))
+        for raised in range(RAISES):
+            try:
+                latest = self._minimize(here, self.mu)
+                if latest.fine:
+                    break
+                least = latest.natural.control * (0.1 if raised == 0 else 1.0)
+            except NotPositiveDefinite:
+                least = 1e-6
+            self.mu = self.mu._replace(control=max(10.0 * self.mu.control, least))
+        else:
+            raise NotPositiveDefinite(0)
+        self._latest, self.theta = latest, latest.theta
+        return _direction(latest)
+
+    def step(self, here: Iterate, direction: Direction, merit: Merit) -> Step:
+        """Search along the direction; learn from the step how good the model is."""
+        if here.gaps is not None:
+            self._costates = direction.costates
+            return close_gaps(here, direction, merit)
+        assert self._latest is not None
+        trial = Trial(
+            merit, here, merit.slope(here, direction), direction.expected,
+            lambda alphas: candidates(here, direction, alphas, "closed-loop"),
+            at_once=here.problem.dynamics.threads, smallest=SMALLEST,
+        )  # fmt: skip
+        found = search("armijo", trial)
+        self._iterations += 1
+        self._damped += any(self._latest.mu)
+        if found is None:
+            rescued = self._rescue(here, merit)
+            return Step(rescued.iterate, rescued.alpha, trial.evaluations + rescued.rollouts)
+        self._costates = direction.costates
+        self._adapt(found.alpha, self._latest)
+        return Step(found.iterate, found.alpha, trial.evaluations)
+
+    def remark(self) -> str:
+        """What the method chose."""
+        if self._second_from is None:
+            parts = ["Gauss-Newton throughout"]
+        elif self._second_from == 0:
+            parts = ["second derivatives throughout"]
+        else:
+            parts = [f"Gauss-Newton, with second derivatives from iteration {self._second_from} on"]
+        if self._damped:
+            parts.append(f"a multiplier in {self._damped} of {self._iterations} iterations")
+        return f"auto: {', '.join(parts)}."
+
+    def _minimize(self, here: Iterate, mu: Multipliers) -> Candidate:
+        """Minimizer with the largest share of the curvature that leaves one."""
+        convex, exact = here.gauss_newton, self._exact
+        theta = min(1.0, 2.0 * self.theta)
+        while exact is not None and theta >= LEAST_THETA:
+            try:
+                return _solve(here, exact if theta == 1.0 else _between(convex, exact, theta), theta, mu)
+            except NotPositiveDefinite:
+                theta *= 0.5
+        return _solve(here, convex, self.theta if exact is None else 0.5 * LEAST_THETA, mu)
+
+    def _adapt(self, alpha: float, latest: Candidate) -> None:
+        """Change the multipliers after a step, and decide on second derivatives."""
+        state, control = self.mu
+        if alpha <= SHORT:
+            state, control = max(GROW * state, latest.natural.state), GROW * control
+        else:
+            shrink = SHRINK if alpha == 1.0 else 2.0
+            state, control = state / shrink, control / shrink
+        self.mu = Multipliers(
+            *(
+                mu if mu > NEGLIGIBLE * scale else 0.0
+                for mu, scale in zip((state, control), latest.natural, strict=True)
+            )
+        )
+        if self._second_from is not None or self.options.curvature == "never":
+            return
+        poor = alpha < 1.0 or (not any(latest.mu) and latest.decrease > SLOW * self._last)
+        self._slow, self._last = self._slow + 1 if poor else 0, latest.decrease
+        if self._slow >= PATIENCE:
+            self._second_from, self.theta = self._iterations, 1.0
+
+    def _rescue(self, here: Iterate, merit: Merit) -> Step:
+        """Full steps with a growing multiplier, where the line search found none."""
+        assert self._latest is not None
+        scale, factor, spent = self._latest.natural, 2.0, 0
+        mu = self.mu._replace(state=max(self.mu.state, scale.state))
+        for _ in range(RESCUES):
+            try:
+                latest = self._minimize(here, mu)
+            except NotPositiveDefinite:
+                latest = None
+            if latest is None or not latest.fine:
+                mu = mu._replace(control=max(4.0 * mu.control, 0.1 * scale.control))
+            else:
+                ahead = _direction(latest)
+                slope = merit.slope(here, ahead)
+                if in_roundoff(slope, here.cost):
+                    break
+                there, spent = candidates(here, ahead, [1.0], "closed-loop")[0], spent + 1
+                if merit.value(there) < merit.value(here) + C1 * slope:
+                    self.mu, self.theta, self._costates, self._slow = mu, latest.theta, ahead.costates, self._slow + 1
+                    return Step(there, 1.0, spent)
+            mu, factor = mu._replace(state=factor * mu.state), 2.0 * factor
+        return Step(None, rollouts=spent)
+
+    def _costates_for(self, here: Iterate) -> Array:
+        """Costates of the sweep before; at the start those of a Gauss-Newton sweep."""
+        if self._costates is not None:
+            return self._costates
+        try:
+            return _solve(here, here.gauss_newton, 1.0, self.mu).found.lq.costates
+        except NotPositiveDefinite:
+            return here.costates
+
+
+def _solve(here: Iterate, model: LQProblem, theta: float, mu: Multipliers) -> Candidate:
+    """Minimize a model with multipliers; they are relative to max|Q| and to D."""
+    convex = here.gauss_newton
+    Q = max(float(np.abs(convex.Q).max(initial=0.0)), 1e-300)
+    D = np.abs(np.einsum("nii->ni", convex.R)).max(axis=0, initial=0.0)
+    D = np.maximum(D, 1e-6 * D.max(initial=0.0) + 1e-300)
+    found = solve_in_box(model, here.box, mu.control * D, mu.state * Q, SWEEPS)
+    X, U = found.lq.X, found.lq.U
+    decrease = -float(np.vdot(model.q, X) + np.vdot(model.r, U))
+    sizes = Q * float(np.vdot(X, X)), float((D * U * U).sum())
+    natural = Multipliers(*(abs(decrease) / max(size, 1e-300) for size in sizes))
+    return Candidate(found, model, theta, mu, decrease, natural)
+
+
+def _direction(latest: Candidate) -> Direction:
+    lq, multiplier = latest.found.lq, max(latest.mu)
+    return Direction(
+        lq.X, lq.U, lq.k, lq.K, lq.costates, latest.model.value(lq.X, lq.U), latest.found.held, multiplier,
+        limited=multiplier > 0.0,
+    )  # fmt: skip
+
+
+def _between(convex: LQProblem, exact: LQProblem, theta: float) -> LQProblem:
+    parts = {name: getattr(convex, name) + theta * (getattr(exact, name) - getattr(convex, name)) for name in "QRM"}
+    return convex._replace(**parts)
+
+
+def _finite(model: LQProblem) -> LQProblem | None:
+    """The model, or None where its Hessians are not finite."""
+    return model if np.isfinite(model.Q.sum() + model.R.sum() + model.M.sum()) else None
