@@ -266,8 +266,9 @@ def bind_control(dynamics: Dynamics, target: ArrayLike, knots: Knots, name: str 
         raise ValueError(
             f"when must name steps for controls, 0 to {knots.N - 1}: at the terminal knot {knots.N} there is none"
         )
-    rows = _rows(target, knots, knots.N)
-    return ControlResidual(_at_knots(per_step_vectors(name, target, rows, dynamics.nu), knots.at, len(knots)), knots)
+    array = as_array(name, target)
+    targets = per_step_vectors(name, array, _rows(array, knots, knots.N), dynamics.nu)
+    return ControlResidual(_at_knots(targets, knots.at, len(knots)), knots)
 
 
 def bind_output(
@@ -275,8 +276,8 @@ def bind_output(
 ) -> OutputResidual:
     """Distance of the readings of `output` from `target`: one reading, one a knot, or one for each of listed knots."""
     columns, quaternion = dynamics.outputs[choose("sensor", output, dynamics.outputs)]
-    rows = _rows(target, knots, knots.N + 1)
-    targets = per_step_vectors(name, target, rows, columns.stop - columns.start)
+    array = as_array(name, target)
+    targets = per_step_vectors(name, array, _rows(array, knots, knots.N + 1), columns.stop - columns.start)
     if quaternion:
         length = np.linalg.norm(targets, axis=1, keepdims=True)
         if (length < 1e-9).any():
@@ -291,9 +292,9 @@ def bind_function(dynamics: Dynamics, function: UserFunction, knots: Knots, step
     return FunctionResidual(dynamics, function, knots, np.concatenate([[0.0], np.cumsum(steps)])[knots.at])
 
 
-def _rows(target: ArrayLike, knots: Knots, every: int) -> int:
+def _rows(target: Array, knots: Knots, every: int) -> int:
     """How many rows a target with one a knot has: one for `every` knot, or one for each of the knots listed."""
-    listed = knots.name is None and np.ndim(target) == 2 and len(np.asarray(target)) == len(knots)
+    listed = knots.name is None and target.ndim == 2 and len(target) == len(knots)
     return len(knots) if listed else every
 
 

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mjslq import user_kernels as kernels
-from mjslq.complex_step import DIFFERENCE, complex_step, refused_complex
+from mjslq.complex_step import DIFFERENCE, complex_step, refused_complex, unscaled
 from mjslq.validation import Array, as_array
 
 Derivative = Callable[..., Any] | None
@@ -70,7 +70,7 @@ class UserFunction:
         return self._returns is not None
 
     def values(self, Z: Array, times: Array) -> Array:
-        """F at every knot. Shape (k, m)."""
+        """Values of f at every knot. Shape (k, m)."""
         out = np.empty((len(Z), self.size))
         if self._returns is not None:
             self._kernel(kernels.values)(self._f, Z, self._nx, times, self._p, out)
@@ -80,14 +80,20 @@ class UserFunction:
         return out
 
     def jacobians(self, Z: Array, times: Array) -> Array:
-        """df/dz at every knot. Shape (k, m, nx + nu)."""
+        """Derivatives df/dz at every knot. Shape (k, m, nx + nu)."""
         J = np.empty((len(Z), self.size, Z.shape[1]))
-        if self._in_loop:
-            self._kernel(kernels.jacobians)(self._f, Z, self._nx, times, self._p, J)
-            return J
-        with refused_complex(self.name, self._remedy):
+        if self._jacobian is not None:
             for n, t in enumerate(times.tolist()):
-                J[n] = self._derivative(Z[n], t)
+                J[n] = self._given_derivative(Z[n], t)
+            return J
+        along = np.empty((len(Z), self.size))
+        if self._in_loop:
+            self._kernel(kernels.jacobians)(self._f, Z, self._nx, times, self._p, J, along)
+        else:
+            with refused_complex(self.name, self._remedy):
+                for n, t in enumerate(times.tolist()):
+                    J[n], along[n] = complex_step(partial(self._value, t=t), Z[n])
+        self._check(unscaled(J, along), times)
         return J
 
     def hessians(self, Z: Array, times: Array, weights: Array) -> Array:
@@ -113,6 +119,16 @@ class UserFunction:
             )
         return True
 
+    def _check(self, wrong: NDArray[np.bool_], times: Array) -> None:
+        if wrong.any():
+            n, i = np.argwhere(wrong)[0]
+            entry = self.name if self.size == 1 else f"entry {i} of {self.name}"
+            raise ValueError(
+                f"{entry} cannot be differentiated by complex steps at t = {times[n]:g}: it has an imaginary part of "
+                f"its own there, as logarithms and roots of negative numbers have, and powers such as x**3 in "
+                f"functions compiled by numba (write x*x*x); otherwise use {self._remedy}"
+            )
+
     def _kernel(self, plain: Callable[..., Any]) -> Callable[..., Any]:
         assert self._returns is not None
         return kernels.compiled(plain, self._returns, len(self._p))
@@ -129,7 +145,11 @@ class UserFunction:
     def _derivative(self, z: Array, t: float) -> Array:
         """df/dz. Shape (m, nx + nu)."""
         if self._jacobian is None:
-            return complex_step(partial(self._value, t=t), z)
+            return complex_step(partial(self._value, t=t), z)[0]
+        return self._given_derivative(z, t)
+
+    def _given_derivative(self, z: Array, t: float) -> Array:
+        assert self._jacobian is not None
         parts = self._jacobian(z[: self._nx], z[self._nx :], t, *self._p)
         return np.hstack(checked("jacobian", parts, [(self.size, self._nx), (self.size, self._nu)]))
 
@@ -185,9 +205,8 @@ class UserCost(UserFunction):
             H[n] = weights[n, 0] * checked("hessian", (value,), [H.shape[1:]])[0]
         return 0.5 * (H + H.swapaxes(1, 2))
 
-    def _derivative(self, z: Array, t: float) -> Array:
-        if self._jacobian is None:
-            return super()._derivative(z, t)
+    def _given_derivative(self, z: Array, t: float) -> Array:
+        assert self._jacobian is not None
         parts = self._jacobian(z[: self._nx], z[self._nx :], t, *self._p)
         return np.concatenate(checked("gradient", parts, [(self._nx,), (self._nu,)]))[None]
 

@@ -22,7 +22,7 @@ from numba import njit, types
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
-from mjslq.complex_step import DIFFERENCE, TINY
+from mjslq.complex_step import DIFFERENCE, OTHER, TINY
 
 Returns = Literal["row", "number"]
 
@@ -36,8 +36,8 @@ def values(f, Z, nx, times, p, out):
         out[n, :] = value
 
 
-def jacobians(f, Z, nx, times, p, J):
-    """J_n = df/dz at knot n."""
+def jacobians(f, Z, nx, times, p, J, along):
+    """J_n = df/dz at knot n, and its derivative along all of z at once."""
     size = Z.shape[1]
     z = np.empty(size, np.complex128)
     for n in range(Z.shape[0]):
@@ -45,6 +45,8 @@ def jacobians(f, Z, nx, times, p, J):
             z[:] = Z[n]
             z[j] += 1j * TINY
             J[n, :, j] = f(z[:nx], z[nx:], times[n], *p).imag / TINY
+        z[:] = Z[n] + 1j * OTHER
+        along[n, :] = f(z[:nx], z[nx:], times[n], *p).imag / OTHER
 
 
 def hessians(f, Z, nx, times, p, weights, H):
@@ -93,7 +95,7 @@ def compiled(kernel: Callable[..., Any], returns: Returns, parameters: int) -> C
     imaginary = types.FunctionType(_COMPLEX[returns](*_complex_arguments(parameters)))
     signature = {
         values: types.void(real, *common, _rows),
-        jacobians: types.void(imaginary, *common, _cube),
+        jacobians: types.void(imaginary, *common, _cube, _rows),
         hessians: types.void(imaginary, *common, _rows, _cube),
     }[kernel]
     return njit(signature, cache=True, nogil=True)(kernel)
