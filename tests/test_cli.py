@@ -58,7 +58,7 @@ def test_solve_saves_what_it_prints(tmp_path):
     assert printed["status"] == "converged"
     assert printed["cost"] == saved.cost
     assert printed["final_state"] == saved.trajectory.X[-1].tolist()
-    assert printed["options"]["parameters"]["height"] == 5
+    assert printed["parameters"]["height"] == 5
     assert "|gradient|" in outcome.stderr  # progress goes elsewhere than the result
 
 
