@@ -1,7 +1,8 @@
 """Which controls are at their limits, and when: for summaries, plots and pages.
 
-A control is at a limit over step n when it equals that limit to the last bit (`Result.active_limits`); the step lasts
-from t_n to t_{n+1}. Steps in a row make a span.
+A control counts as at a limit when it is within `NEAR` of it, relative to the range between its limits: steps shorter
+than the whole come ever nearer to a limit without touching it (`Result.active_limits` tells which do). Step n lasts from
+t_n to t_{n+1}; steps in a row make a span.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from mjslq.reports.units import control_kinds, model_from_mjb
 from mjslq.result import Result
 from mjslq.validation import Array
 
+NEAR = 1e-3
+"""Distance from a limit, relative to the range of the control, or to the limit where the other one is infinite."""
 MOST_SPANS, MOST_CONTROLS = 3, 4
 """What a line of text can hold; beyond it there are totals."""
 
@@ -42,18 +45,27 @@ class AtLimit:
 
 def at_limits(result: Result) -> list[AtLimit]:
     """Controls at their limits, in the order of the controls, upper limits first; empty when there are none."""
-    active, times = result.active_limits, result.trajectory.times
+    sides, times = reached(result, result.trajectory.U), result.trajectory.times
     names = _names(result)
     found = []
-    for control in range(active.shape[1]):
+    for control in range(sides.shape[1]):
         for side, limits in ((1, result.upper), (-1, result.lower)):
-            at = active[:, control] == side
+            at = sides[:, control] == side
             if not at.any():
                 continue
             values = np.unique(limits[at, control])
             limit = float(values[0]) if len(values) == 1 else None
             found.append(AtLimit(control, names[control], side, limit, spans(at, times)))
     return found
+
+
+def reached(result: Result, U: Array) -> NDArray[np.int8]:
+    """1 where controls `U` (N, nu) are at their upper limit, -1 at their lower one, 0 between. Shape (N, nu)."""
+    lower, upper = result.lower, result.upper
+    whole, one = upper - lower, np.where(np.isfinite(upper), upper, np.where(np.isfinite(lower), lower, 0.0))
+    room = NEAR * np.where(np.isfinite(whole), whole, np.abs(one))
+    above, below = np.isfinite(upper) & (U >= upper - room), np.isfinite(lower) & (U <= lower + room)
+    return above.astype(np.int8) - below.astype(np.int8)
 
 
 def spans(at: NDArray[np.bool_], times: Array) -> tuple[tuple[float, float], ...]:
@@ -65,27 +77,37 @@ def spans(at: NDArray[np.bool_], times: Array) -> tuple[tuple[float, float], ...
 def describe(result: Result, *, brief: bool = False) -> str:
     """One line on which limits are active, such as "hip at +18 Nm during 0.12-0.31 s and 0.8-0.9 s; knee ...".
 
-    `brief` tells how long instead of when. Empty when no limit is active.
+    `brief` tells only how long each control is at its limits. Empty when none is.
     """
-    found = at_limits(result)
-    if not found:
+    controls: dict[int, list[AtLimit]] = {}
+    for entry in at_limits(result):
+        controls.setdefault(entry.control, []).append(entry)
+    if not controls:
         return ""
+    longest = sorted(controls, key=lambda control: -_seconds(controls[control]))[:MOST_CONTROLS]
     units, end = _units(result), float(result.trajectory.times[-1])
-    shown = sorted(found, key=lambda entry: -entry.seconds)[:MOST_CONTROLS]
-    parts = [_sentence(entry, units[entry.control], end, brief) for entry in found if entry in shown]
-    more = len(found) - len(shown)
-    return "; ".join(parts) + (f"; and {more} more" if more else "")
+    parts = []
+    for control in sorted(longest):
+        entries = controls[control]
+        if brief:
+            parts.append(f"{entries[0].name} {_seconds(entries):.2g} s")
+        else:
+            parts.append(entries[0].name + ",".join(_sentence(entry, units[control], end) for entry in entries))
+    more = [f"{len(controls) - len(longest)} more"] if len(controls) > len(longest) else []
+    return (", " if brief else "; ").join(parts + more)
 
 
-def _sentence(entry: AtLimit, unit: str, end: float, brief: bool) -> str:
+def _seconds(entries: list[AtLimit]) -> float:
+    return sum(entry.seconds for entry in entries)
+
+
+def _sentence(entry: AtLimit, unit: str, end: float) -> str:
     if entry.limit is None:
-        place = f"{entry.name} at its {'upper' if entry.side > 0 else 'lower'} limit"
+        place = f" at its {'upper' if entry.side > 0 else 'lower'} limit"
     else:
-        place = f"{entry.name} at {entry.limit:+.4g}{unit and f' {unit}'}"
+        place = f" at {entry.limit:+.4g}{unit and f' {unit}'}"
     if entry.seconds >= end * (1.0 - 1e-9):
         return f"{place} throughout"
-    if brief:
-        return f"{place} for {entry.seconds:.3g} s"
     if len(entry.spans) > MOST_SPANS:
         first, last = entry.spans[0][0], entry.spans[-1][1]
         return f"{place} for {entry.seconds:.3g} s in {len(entry.spans)} spans within {_span(first, last)}"

@@ -28,6 +28,8 @@ _SHARED, _DASH = "#9aa5b1", (5, 4)
 """Of the lines at limits."""
 _BAR = 0.035
 """Height of the bar that marks when a control is at a limit, relative to the axis."""
+_BAR_HEIGHT = 5
+"""What a plot is higher by for each of them. [px]"""
 _LIMITS_NOTE = "dashed: limits; bars on the time axis: at a limit"
 _FONT = "font-size:12px;line-height:1.55"
 _GOOD, _FAIR = ("#1d7a4f", "#e3f4ea"), ("#94600b", "#fdf1dc")
@@ -95,6 +97,8 @@ class Curves:
     """Further columns: the limits of the controls, and the tops of bars that mark when they are reached. (n, m)."""
     styles: tuple[dict[str, Any], ...] = ()
     """How Viser's plots draw each of `limits`."""
+    bars: int = 0
+    """Number of controls with bars."""
 
     @staticmethod
     def of(result: Result, trajectory: Trajectory, group: series.Group) -> Curves:
@@ -120,7 +124,7 @@ class Curves:
             foot = low + bar * place
             columns.append(foot + 0.8 * bar * active[keep, curve])
             styles.append({"fill": series.COLORS[curve], "fillTo": foot or 1e-300, "width": 0})
-        return Curves(times, values, (low, high), np.stack(columns, axis=1), tuple(styles))
+        return Curves(times, values, (low, high), np.stack(columns, axis=1), tuple(styles), len(reached))
 
 
 class SignalPlot:
@@ -167,7 +171,7 @@ class SignalPlot:
                 self._curves.y_range,
                 x_label="time [s]",
                 y_label=self._group.unit and f"[{self._group.unit}]",
-                height=self._height,
+                height=self._height + round(_BAR_HEIGHT * self._curves.bars),
             )
             self._legend = self._gui.add_html(self._legend_html(0.0))
 

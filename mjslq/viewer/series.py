@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mjslq.reports.limits import reached
 from mjslq.reports.units import control_kinds, state_kinds
 from mjslq.result import Result
 from mjslq.trajectory import Trajectory
@@ -108,7 +108,7 @@ def limits(result: Result, trajectory: Trajectory, group: Group) -> Limits | Non
     lower, upper = result.lower[:, columns], result.upper[:, columns]
     if not (np.isfinite(lower).any() or np.isfinite(upper).any()):
         return None
-    active = dataclasses.replace(result, trajectory=trajectory).active_limits[:, columns] != 0
+    active = reached(result, trajectory.U)[:, columns] != 0
     steps = len(curves(trajectory, group)[0]) // 2
     lower, upper, active = (np.repeat(part[:steps], 2, axis=0) for part in (lower, upper, active))
     return Limits(lower, upper, active)

@@ -66,6 +66,45 @@ def test_diverged_curves_end_where_they_are_finite(function: Result) -> None:
         assert len(times) == length and np.isfinite(values).all()
 
 
+def test_plots_of_controls_show_their_limits(arm: Result) -> None:
+    (group,) = series.groups(arm, "controls")
+    found = series.limits(arm, arm.trajectory, group)
+    assert found is not None
+    ((upper, first), (lower, second)) = found.lines()  # of the shoulder alone; the elbow has none
+    assert (first, second) == (0, 0) and (upper == 1.5).all() and (lower == -1.5).all()
+    assert not found.active[:, 1].any()
+    np.testing.assert_array_equal(found.active[::2, 0], arm.trajectory.times[:-1] >= 1.5 - 1.5e-3)
+    drawn = panels.Curves.of(arm, arm.trajectory, group)
+    assert drawn.limits.shape == (200, 3) and len(drawn.styles) == 3 and drawn.bars == 1
+    top, foot = drawn.limits[:, 2], drawn.styles[2]["fillTo"]
+    assert ((top > foot) == found.active[:, 0]).all() and top.max() < drawn.values.min()
+    assert drawn.y_range[0] <= foot and drawn.y_range[1] > 1.5
+    assert series.limits(arm, arm.trajectory, series.groups(arm, "states")[0]) is None
+
+
+def test_limits_that_controls_share_are_one_line_and_far_ones_leave_the_axis_alone() -> None:
+    shared = series.Limits(-np.ones((4, 3)), np.ones((4, 3)), np.zeros((4, 3), dtype=bool))
+    assert [(line[0], curve) for line, curve in shared.lines()] == [(1.0, None), (-1.0, None)]
+    values = np.array([[-0.5], [0.5]])
+    near, far = np.full(2, 1.0), np.full(2, 87.0)
+    low, high = series.range_with_limits(values, [near, far])
+    assert low < -0.5 and 1.0 < high < 2.0
+
+
+def test_limits_follow_the_iterate_shown(arm: Result) -> None:
+    (group,) = series.groups(arm, "controls")
+    early = Trajectory(arm.trajectory.X, 0.1 * arm.trajectory.U, dt=0.02)
+    found = series.limits(arm, early, group)
+    assert found is not None and not found.active.any()
+
+
+def test_switches_survive_thinning() -> None:
+    values, switches = np.zeros((5000, 1)), np.zeros((5000, 1), dtype=bool)
+    switches[1001:1207] = True
+    index = series.thinning(values, 100, switches)
+    assert {1000, 1001, 1206, 1207} <= set(index.tolist())
+
+
 def test_thinning_keeps_peaks() -> None:
     values = np.zeros((5000, 2))
     values[1234, 0], values[4321, 1] = 7.0, -3.0
