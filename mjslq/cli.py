@@ -1,8 +1,8 @@
-"""The command line: `mjslq list | solve | view | export | check`.
+"""The command line: `mjslq list | solve | view | export | check | compare | reproduce | bench`.
 
-Exit status: 0 converged (or the command did what it was asked), 1 not converged, 2 wrong input, 3 diverged,
-130 interrupted. What a command says about its progress goes to standard error; standard output holds the result,
-so that `--json` can be piped.
+Exit status: 0 converged (or the command did what it was asked), 1 not converged or ended by an error, 2 wrong input,
+3 diverged, 130 interrupted. What a command says about its progress goes to standard error; standard output holds
+the result, so that `--json` can be piped.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -21,83 +21,97 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     help="Trajectory optimization for MuJoCo models.",
-    no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="Exit status: 0 converged, 1 not converged, 2 wrong input, 3 diverged, 130 interrupted.",
+    epilog="Exit status: 0 converged, 1 not converged or failed, 2 wrong input, 3 diverged, 130 interrupted.",
 )
 
 _EXIT = {"converged": 0, "diverged": 3, "interrupted": 130}
 WRONG_INPUT = 2
 
+_USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
+"""What the parser raises for options and arguments that it does not know; Typer has no public name for it."""
+
 Port = Annotated[int, typer.Option(help="Port of the viewer; the next free one is taken if it is busy.")]
 Host = Annotated[str, typer.Option(help="Address that the viewer listens on.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", "-s", metavar="NAME=VALUE", help="Set a parameter of the problem, or an option."),
+]
+View = Annotated[bool, typer.Option("--view", help="Show the result in a browser.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the numbers as one JSON object.")]
 
 
 def main() -> None:
     """Run the command line; every wrong input ends in one sentence and status 2."""
     try:
-        app()
-    except (ValueError, FileNotFoundError) as error:
-        print(f"mjslq: {error}", file=sys.stderr)
-        sys.exit(WRONG_INPUT)
-    except KeyboardInterrupt:
+        sys.exit(app(sys.argv[1:] or ["--help"], standalone_mode=False))
+    except _USAGE_ERROR as error:
+        _refuse(" ".join(error.format_message().split()))  # type: ignore[attr-defined]
+    except (KeyboardInterrupt, typer.Abort):
         print("mjslq: interrupted", file=sys.stderr)
         sys.exit(_EXIT["interrupted"])
     except BrokenPipeError:  # the reader of a pipe has gone; that is its right
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (ValueError, OSError, ImportError) as error:
+        _refuse(" ".join(str(error).split()))
+
+
+def _refuse(sentence: str) -> NoReturn:
+    print(f"mjslq: {sentence}", file=sys.stderr)
+    sys.exit(WRONG_INPUT)
 
 
 @app.command("list")
 def list_problems() -> None:
     """Show the problems that come with mjslq, and what can be set in each."""
-    from rich.console import Console
-    from rich.table import Table
-
     from mjslq import problems
+    from mjslq.reports.tables import console, table
 
-    table = Table("problem", "what it is", "--set", box=None, pad_edge=False, header_style="bold")
+    rows = table("problem", "what it is", "--set")
     for name in problems.names():
         defaults = " ".join(f"{key}={value}" for key, value in problems.parameters(name).items())
-        table.add_row(name, problems.summary(name), defaults)
-    Console().print(table)
+        rows.add_row(name, problems.summary(name), defaults)
+    console().print(rows)
 
 
 @app.command()
 def solve(
     problem: Annotated[str, typer.Argument(help="A problem of `mjslq list`.")],
-    method: Annotated[str, typer.Option("--method", "-m", help="How to solve it.")] = "slq",
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", "-s", metavar="NAME=VALUE", help="Set a parameter of the problem, or of the method."),
+    method: Annotated[str | None, typer.Option("--method", "-m", help="How to solve it.")] = None,
+    preset: Annotated[
+        str | None, typer.Option(help="A paper's version of the method, nothing added: sideris-bobrow for slq.")
     ] = None,
+    settings: Settings = None,
     save: Annotated[Path | None, typer.Option(help="Write the result to this .npz file.")] = None,
-    view: Annotated[bool, typer.Option("--view", help="Show the result in a browser.")] = False,
+    view: View = False,
     host: Host = "127.0.0.1",
     port: Port = 8080,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Solve a problem: a line an iteration while it works, a summary after."""
     if save is not None and not save.absolute().parent.is_dir():
         raise ValueError(f"cannot write {save}: there is no folder {save.parent}")
     _announce(quiet)
     from mjslq import problems
-    from mjslq.optimize import METHODS, option_names
+    from mjslq.optimize import ALIASES, METHODS, option_names
     from mjslq.optimize import solve as run
     from mjslq.reports.tables import as_dict, print_summary
     from mjslq.validation import choose
 
     choose("problem", problem, problems.names())
-    choose("method", method, METHODS)
+    method = choose("method", method or _default_method(), [*METHODS, *ALIASES])
     parameters, options = _sort_settings(settings or [], problem, option_names(method))
     stated = problems.get(problem, **parameters)
-    result = run(stated, method, verbose=0 if quiet else 1, stream=sys.stderr, **options)
+    result = run(stated, method, preset=preset, verbose=0 if quiet else 1, stream=sys.stderr, **options)
     if as_json:
-        print(json.dumps(as_dict(result)))
+        print(json.dumps(as_dict(result), allow_nan=False))
     elif not quiet:
         print_summary(result, stated)
+    if quiet and result.error:
+        print(f"mjslq: {result.message}", file=sys.stderr)
     if save is not None:
         result.save(save)
         if not quiet:
@@ -143,27 +157,25 @@ def check(
 ) -> None:
     """Say what serves a model, and compare its derivatives with a fine reference along a random motion."""
     _announce(quiet=False)
-    from rich.console import Console
-    from rich.table import Table
-
     from mjslq.dynamics.derivative_check import TOLERANCE
+    from mjslq.reports.tables import console, table
     from mjslq.validation import count
 
     dynamics, x0 = _dynamics_of(what)
-    console = Console()
-    parts = Table("part", "served by", box=None, pad_edge=False, header_style="bold")
+    screen = console()
+    parts = table("part", "served by")
     for part, served in dynamics.support_report():
         parts.add_row(part, served)
-    console.print(parts)
+    screen.print(parts)
     trajectory = _random_motion(dynamics, x0, count("steps", steps), seed)
     found = dynamics.check_derivatives(trajectory)
     titles = ("Jacobian", "median error", "largest", "at step, row, column", "knots off")
-    errors = Table(*titles, box=None, pad_edge=False, header_style="bold", caption="relative to the largest entry")
+    errors = table(*titles, caption="relative to the largest entry")
     for name, error in found.errors.items():
         usual, share = f"{found.typical[name]:.1e}", f"{found.share[name]:.0%}"
         errors.add_row(name, usual, f"{error:.1e}", str(found.worst[name]), share)
-    console.print()
-    console.print(errors)
+    screen.print()
+    screen.print(errors)
     if found.worst_error > TOLERANCE and not found.suspects:
         print("a few knots are off, as where contacts open and close: a kink of the motion, no wrong derivative")
     raise typer.Exit(1 if found.suspects else 0)
@@ -175,23 +187,18 @@ def compare(
     methods: Annotated[
         list[str] | None, typer.Option("--method", "-m", help="Compare these; all unless given.")
     ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", "-s", metavar="NAME=VALUE", help="Set a parameter of the problem, or a tolerance."),
-    ] = None,
+    settings: Settings = None,
     plot: Annotated[Path | None, typer.Option(help="Draw the costs into this .png, .svg or .pdf file.")] = None,
-    view: Annotated[bool, typer.Option("--view", help="Show the best result and the comparison in a browser.")] = False,
+    view: View = False,
     host: Host = "127.0.0.1",
     port: Port = 8080,
 ) -> None:
     """Solve a problem by every method from the same start: one table, one plot."""
     _announce(quiet=False)
-    from rich.console import Console
-    from rich.table import Table
-
     from mjslq import problems
     from mjslq.options import COMMON
     from mjslq.reports import compare as comparing
+    from mjslq.reports.tables import console, table
     from mjslq.validation import choose
 
     choose("problem", problem, problems.names())
@@ -200,15 +207,15 @@ def compare(
     parameters, options = _sort_settings(settings or [], problem, list(COMMON))
     stated = problems.get(problem, **parameters)
     titles = ("method", "status", "iterations", "rollouts", "seconds", "cost", "|gradient|")
-    table = Table(*titles, box=None, pad_edge=False, header_style="bold")
+    rows = table(*titles)
     entries = []
     for entry in comparing.compare(stated, methods or (), **options):
         result = entry.result
         print(f"{entry.method}: {result.status.value}", file=sys.stderr, flush=True)
         numbers = (str(result.iterations), str(entry.evaluations), f"{result.seconds:.2f}")
-        table.add_row(entry.method, result.status.value, *numbers, f"{result.cost:.10g}", f"{result.gradient_norm:.1e}")
+        rows.add_row(entry.method, result.status.value, *numbers, f"{result.cost:.10g}", f"{result.gradient_norm:.1e}")
         entries.append(entry)
-    Console(width=max(110, Console().width)).print(table)
+    console(110).print(rows)
     if plot is not None:
         comparing.plot(entries, plot, problem)
     if view:
@@ -252,7 +259,7 @@ def reproduce(
 @app.command()
 def bench(
     cases: Annotated[list[str] | None, typer.Argument(help="Cases to measure; all of them unless given.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the measurements as one JSON object.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Measure what an iteration costs here, phase by phase, beside the engine's own calls."""
     _announce(quiet=False)
@@ -271,6 +278,15 @@ def bench(
         print(json.dumps({"cases": [row.as_dict() for row in rows], "growth": growth}))
     else:
         tables.benchmark(rows, growth)
+
+
+def _default_method() -> str:
+    """The method of `mjslq.solve` where none is given."""
+    import inspect
+
+    from mjslq.optimize import solve as run
+
+    return str(inspect.signature(run).parameters["method"].default)
 
 
 def _announce(quiet: bool) -> None:

@@ -58,7 +58,7 @@ def test_solve_saves_what_it_prints(tmp_path):
     assert printed["status"] == "converged"
     assert printed["cost"] == saved.cost
     assert printed["final_state"] == saved.trajectory.X[-1].tolist()
-    assert printed["options"]["parameters"]["height"] == 5
+    assert printed["parameters"]["height"] == 5
     assert "|gradient|" in outcome.stderr  # progress goes elsewhere than the result
 
 
@@ -80,6 +80,41 @@ def test_status_1_when_iterations_run_out():
     assert "max_iterations" in outcome.stdout
 
 
+def test_without_arguments_there_is_help():
+    shown = run()
+    assert shown.returncode == 0 and "Usage" in shown.stdout
+
+
+def test_preset_and_alias(tmp_path):
+    common = ["solve", "drag_particle", "-s", "beta=0.05", "--quiet", "--json"]
+    outcome = run(*common, "-m", "ilqr", "--preset", "sideris-bobrow", "-s", "line_search=armijo")
+    assert outcome.returncode == 0, outcome
+    printed = json.loads(outcome.stdout)
+    assert (printed["method"], printed["iterations"]) == ("slq", 20)
+    assert printed["options"]["acceleration"] is False and printed["options"]["rescue"] is False
+
+
+def test_status_1_when_an_error_ends_the_solve():
+    code = """
+import mjslq.cli, mjslq.problems, mjslq.costs
+def broken():
+    problem = mjslq.problems.get("van_der_pol")
+    def cost(trajectory):
+        if abs(trajectory.U).max() > 0.0:
+            raise RuntimeError("the cost broke")
+        return 1.0
+    problem._terms[0].cost = cost
+    return problem
+made = broken()
+mjslq.problems.get = lambda name, **given: made
+mjslq.cli.sys.argv[1:] = ["solve", "van_der_pol", "--quiet"]
+mjslq.cli.main()
+"""
+    outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert outcome.returncode == 1, outcome
+    assert "Traceback" not in outcome.stderr and "RuntimeError: the cost broke." in outcome.stderr
+
+
 def test_status_3_when_the_start_blows_up():
     outcome = run("solve", "hopper", "-s", "engine=function", "-s", "stiffness=1e9", "-s", "gravity=1e14")
     assert outcome.returncode == 3, outcome
@@ -91,6 +126,12 @@ def test_status_3_when_the_start_blows_up():
     [
         (["solve", "hoper"], "did you mean 'hopper'?"),
         (["solve", "hopper", "--method", "slk"], "unknown method 'slk'; there are: slq"),
+        (["solve", "hopper", "--preset", "bobrow"], "there are: sideris-bobrow"),
+        (["solve", "hopper", "-m", "newton", "--preset", "sideris-bobrow"], "unknown preset of method 'newton'"),
+        (["solve", "hopper", "--nonsense"], "--nonsense"),
+        (["solve", "hopper", "--port", "high"], "--port"),
+        (["solve"], "Missing argument"),
+        (["slove", "hopper"], "slove"),
         (["solve", "hopper", "-s", "heigth=3"], "did you mean 'height'?"),
         (["solve", "hopper", "-s", "height"], "NAME=VALUE"),
         (["solve", "hopper", "-s", "height=tall"], "height must be a number"),

@@ -7,6 +7,7 @@ import pytest
 
 from mjslq import problems
 from mjslq.optimize import METHODS
+from mjslq.reports import convergence
 from mjslq.reports.compare import compare, plot
 
 
@@ -17,13 +18,14 @@ def entries():
 
 def test_every_method_starts_at_the_same_point(entries):
     assert [entry.method for entry in entries] == list(METHODS)
-    assert len({entry.costs[0] for entry in entries}) == 1
+    assert len({entry.result.log[0].cost for entry in entries}) == 1
 
 
 def test_entries_tell_what_the_log_holds(entries):
     for entry in entries:
-        assert len(entry.costs) == len(entry.seconds) == len(entry.result.log)
-        assert (np.diff(entry.seconds) >= 0.0).all()
+        log = entry.result.log
+        assert len(convergence.costs(log)) == len(convergence.seconds(log)) == len(log)
+        assert (np.diff(convergence.seconds(log)) >= 0.0).all()
         assert entry.evaluations >= entry.result.iterations
 
 

@@ -159,7 +159,7 @@ def measure(case: str, problem: Problem) -> Row:
     trajectory, dynamics = result.trajectory, problem.dynamics
     U, ways = np.array(trajectory.U), _linearizations(dynamics, trajectory)
     lq = _lq_problem(problem, trajectory)
-    spent = [entry for entry in result.log if entry.alpha > 0.0]
+    spent = [entry for entry in result.log if entry.outcome == "accepted"]
     start = milliseconds(lambda: solve(problem, max_iterations=0, keep_iterates=False))
     whole = milliseconds(lambda: solve(problem, max_iterations=ITERATIONS, keep_iterates=False))
     return Row(

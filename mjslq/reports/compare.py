@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from mjslq.files import atomic_write
-from mjslq.optimize import METHODS, solve
+from mjslq.optimize import ALIASES, METHODS, solve
 from mjslq.problem import Problem
+from mjslq.reports import convergence
 from mjslq.result import Result
-from mjslq.validation import Array, choose
+from mjslq.validation import choose
 
 FORMATS = (".png", ".svg", ".pdf")
 
@@ -31,23 +30,13 @@ class Entry:
         """Rollouts in all, the start's own included."""
         return 1 + sum(entry.evaluations for entry in self.result.log)
 
-    @property
-    def costs(self) -> Array:
-        """Cost of each iterate. Shape (iterations + 1,)."""
-        return np.array([entry.cost for entry in self.result.log])
-
-    @property
-    def seconds(self) -> Array:
-        """Wall time at which each iterate was done with. Shape (iterations + 1,). [s]"""
-        return np.array([entry.seconds for entry in self.result.log])
-
 
 def compare(problem: Problem, methods: Sequence[str] = (), **options: Any) -> Iterator[Entry]:
     """Solve `problem` by each of `methods` (all unless given), one after the other.
 
     `options` are those that all methods know: tol, max_iterations, ...
     """
-    for method in [choose("method", method, METHODS) for method in methods or METHODS]:
+    for method in [choose("method", ALIASES.get(method, method), METHODS) for method in methods or METHODS]:
         solve(problem, method, **(options | {"max_iterations": 1}))  # so that no method pays for another's compiling
         yield Entry(method, solve(problem, method, **options))
 
@@ -63,14 +52,13 @@ def plot(entries: Sequence[Entry], path: str | os.PathLike[str], title: str = ""
     curves = [entry for entry in entries if entry.result.log]
     if not curves:
         raise ValueError("there is nothing to plot: no method came past its start")
-    best = min(float(np.min(entry.costs)) for entry in curves)
+    relative = convergence.relative_costs([entry.result.log for entry in curves])
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
-    for entry in curves:
-        relative = (entry.costs - best) / max(abs(best), 1e-300)
-        shown = np.where(relative > 1e-16, relative, np.nan)
+    for entry, shown in zip(curves, relative, strict=True):
+        log = entry.result.log
         end = "" if entry.result.success else f" ({entry.result.status.value})"
-        for axis, abscissa in zip(axes, (np.arange(len(shown)), entry.seconds), strict=True):
+        for axis, abscissa in zip(axes, (convergence.iterations(log), convergence.seconds(log)), strict=True):
             axis.semilogy(abscissa, shown, marker=".", label=entry.method + end)
     for axis, label in zip(axes, ("iteration", "time [s]"), strict=True):
         axis.set_xlabel(label)

@@ -1,66 +1,90 @@
-"""What the command line says about a result: a summary for people, numbers for machines."""
+"""What the command line prints: summaries and tables for people, numbers for machines."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from mjslq.problem import Problem
+from mjslq.reports.limits import at_limits, describe
 from mjslq.result import Result
 
 if TYPE_CHECKING:
     from mjslq.reports.bench import Row
 
 
+def table(*titles: str, title: str | None = None, caption: str | None = None) -> Table:
+    """Return an empty table in the style that all commands share."""
+    look: dict[str, Any] = {"box": None, "pad_edge": False, "header_style": "bold", "title_justify": "left"}
+    return Table(*titles, title=title, caption=caption, **look)
+
+
+def console(at_least: int = 0) -> Console:
+    """Return a console on standard output that is `at_least` so many characters wide."""
+    return Console(width=max(at_least, Console().width), highlight=False)
+
+
 def print_summary(result: Result, problem: Problem) -> None:
     """Print what came out, in a few aligned lines."""
-    table = Table(box=None, show_header=False, pad_edge=False)
-    table.add_column(style="dim")
-    table.add_column()
+    lines = Table(box=None, show_header=False, pad_edge=False)
+    lines.add_column(style="dim", no_wrap=True)
+    lines.add_column()
     color = "green" if result.success else "yellow"
-    table.add_row(result.problem, Text(result.status.value, style=f"bold {color}"))
+    lines.add_row(result.problem, Text(result.status.value, style=f"bold {color}"))
     if not result.success:
-        table.add_row("", result.message)
-    table.add_row("cost", f"{result.cost:.10g}")
-    table.add_row("iterations", f"{result.iterations} in {result.seconds:.2f} s")
-    table.add_row("|gradient|", f"{result.gradient_norm:.2e}")
+        lines.add_row("", result.message)
+    lines.add_row("cost", f"{result.cost:.10g}")
+    lines.add_row("iterations", f"{result.iterations} in {result.seconds:.2f} s")
+    if result.compile_seconds > 0.0:
+        lines.add_row("compiling", f"{result.compile_seconds:.1f} s, the first time only")
+    lines.add_row("|gradient|", f"{result.gradient_norm:.2e}")
+    if limits := describe(result):
+        lines.add_row("limits", limits)
     if problem.describe is not None and not result.trajectory.diverged:
         for name, text in problem.describe(result.trajectory).items():
-            table.add_row(name, text)
-    Console(highlight=False).print(table)
+            lines.add_row(name, text)
+    console().print(lines)
 
 
 def as_dict(result: Result) -> dict[str, Any]:
-    """The numbers of a result; arrays belong into the saved file."""
+    """The numbers of a result in JSON's types, None for what is not finite; arrays belong into the saved file."""
     names = (
-        "problem",
-        "method",
-        "success",
-        "message",
-        "cost",
-        "iterations",
-        "gradient_norm",
-        "constraint_violation",
-        "seconds",
-        "options",
-    )
-    final = result.trajectory.X[-1].tolist()
-    return {"status": result.status.value} | {name: getattr(result, name) for name in names} | {"final_state": final}
+        "problem", "method", "success", "message", "cost", "iterations", "gradient_norm", "constraint_violation",
+        "seconds", "compile_seconds", "options", "parameters",
+    )  # fmt: skip
+    found = {"status": result.status.value} | {name: getattr(result, name) for name in names}
+    found["limits"] = [
+        {"control": entry.name, "limit": entry.limit, "side": entry.side, "spans": entry.spans}
+        for entry in at_limits(result)
+    ]
+    return _plain(found | {"final_state": result.trajectory.X[-1].tolist()})
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(name): _plain(entry) for name, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def benchmark(rows: list[Row], growth: dict[str, dict[int, float]]) -> None:
     """Print what was measured: a table of the phases, one of the ratios, and how things grow."""
-    console = Console(width=max(132, Console().width), highlight=False)
-    phases = Table(
+    screen = console(132)
+    phases = table(
         "case", "N", "nx", "nu", "rollout", "transition", "ours", "sweep", "iteration", "rollouts each",
-        "mj_step", "mj_inverse", "mjd_transitionFD", title="milliseconds over the horizon", **_PLAIN,
+        "mj_step", "mj_inverse", "mjd_transitionFD", title="milliseconds over the horizon",
     )  # fmt: skip
-    ratios = Table(
+    ratios = table(
         "case", "FD / ours", "iteration / (FD + step)", "iteration / (its steps + inverse)", "error of transition",
-        "error of ours", title="ratios, and errors of A", **_PLAIN,
+        "error of ours", title="ratios, and errors of A",
     )  # fmt: skip
     for row in rows:
         ours = min(row.linearize, key=lambda way: row.linearize[way])
@@ -75,10 +99,7 @@ def benchmark(rows: list[Row], growth: dict[str, dict[int, float]]) -> None:
             numbers = (row.ratio_of_jacobians, row.ratio_to_bare, row.ratio_to_calls)
             errors = (row.errors["transition"], row.errors[ours])
             ratios.add_row(row.case, *[f"{number:.2f}" for number in numbers], *[f"{error:.0e}" for error in errors])
-    console.print(phases, "", ratios)
+    screen.print(phases, "", ratios)
     for name, found in growth.items():
         if found:
-            console.print(f"\n{name}: " + ", ".join(f"{at}: {value:.3g}" for at, value in found.items()))
-
-
-_PLAIN: dict[str, Any] = {"box": None, "pad_edge": False, "header_style": "bold", "title_justify": "left"}
+            screen.print(f"\n{name}: " + ", ".join(f"{at}: {value:.3g}" for at, value in found.items()))

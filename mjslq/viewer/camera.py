@@ -1,4 +1,4 @@
-"""Where to stand to see a whole motion."""
+"""The camera: a view in which a whole motion is visible."""
 
 from __future__ import annotations
 

@@ -8,39 +8,26 @@ from collections.abc import Sequence
 import numpy as np
 import viser
 
+from mjslq.reports import convergence
 from mjslq.result import Result
 from mjslq.validation import Array
 from mjslq.viewer import panels, series
 
-_FLOOR = 1e-16  # relative costs below this are rounding
-
-
-def relative_costs(results: Sequence[Result]) -> list[Array]:
-    """Return log10 of (J - best) / |best| for each iterate of each result; NaN where nothing is left."""
-    costs = [np.array([entry.cost for entry in result.log]) for result in results]
-    finite = np.concatenate([column[np.isfinite(column)] for column in costs] or [np.zeros(0)])
-    best = float(finite.min()) if finite.size else 0.0
-    found = []
-    for column in costs:
-        relative = (column - best) / max(abs(best), 1e-300)
-        shown = np.isfinite(relative) & (relative > _FLOOR)
-        found.append(np.log10(relative, where=shown, out=np.full(len(column), np.nan)))
-    return found
-
 
 def add_comparison(gui: viser.GuiApi, results: Sequence[Result]) -> None:
     """Add the two plots and a legend of methods to the current container."""
-    curves = relative_costs(results)
+    logs = [result.log for result in results]
+    curves = [np.log10(relative) for relative in convergence.relative_costs(logs)]
     names = [f"{result.method} ({result.status.value})" for result in results]
-    limits = series.value_range(np.concatenate(curves))
+    y_range = series.value_range(np.concatenate(curves))
     for label, abscissae in (
-        ("iteration", [np.arange(len(result.log), dtype=np.float64) for result in results]),
-        ("time [s]", [np.array([entry.seconds for entry in result.log]) for result in results]),
+        ("iteration", [convergence.iterations(log) for log in logs]),
+        ("time [s]", [convergence.seconds(log) for log in logs]),
     ):
         x = np.unique(np.concatenate(abscissae))
         values = np.stack([_on(x, *curve) for curve in zip(abscissae, curves, strict=True)], axis=1)
         whole = label == "iteration"
-        panels.add_plot(gui, x, values, tuple(names), limits, label, "log10 (J - best) / |best|", whole=whole)
+        panels.add_plot(gui, x, values, tuple(names), y_range, label, "log10 (J - best) / |best|", whole=whole)
     entries = "".join(
         f'<div><span style="display:inline-block;width:9px;height:3px;background:{color};margin-right:6px"></span>'
         f"{html.escape(name)}</div>"

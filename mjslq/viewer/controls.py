@@ -1,4 +1,4 @@
-"""The knobs of the viewer, bound to what they move. Knobs set from Python do not answer back."""
+"""Widgets of the viewer and their callbacks. Setting a widget from Python fires no callback, only a browser does."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NOTE = '<div style="font-size:12px;opacity:.65;padding:0 10px 6px;text-align:ri
 
 @dataclass(frozen=True)
 class Actions:
-    """What the knobs call."""
+    """Callbacks of the widgets."""
 
     toggle: Callable[[], None]
     """Play or pause."""
@@ -48,7 +48,7 @@ class Controls:
     def __init__(
         self, gui: viser.GuiApi, actions: Actions, *, duration: float, iterates: int, iterate: int, scene: bool
     ) -> None:
-        """Add the knobs for a motion of `duration` [s], `iterates` kept iterates (`iterate` shown), and a scene."""
+        """Add the widgets for a motion of `duration` [s], `iterates` kept iterates (`iterate` shown), and a scene."""
         self._gui = gui
         self._actions = actions
         self._add_time(duration)
@@ -63,7 +63,7 @@ class Controls:
             self._add_ghosts(iterates > 1)
 
     def show(self, time: float, playing: bool) -> None:
-        """Let the knobs say where playback stands."""
+        """Show where playback stands."""
         time = min(round(time, self._digits), self.time.max)
         if self.time.value != time:
             _set(self.time, time)
@@ -73,14 +73,14 @@ class Controls:
             self.button.icon = _icon(playing)
 
     def show_iterate(self, index: int, note: str) -> None:
-        """Let the slider say which iterate is shown, and a line below what there is to say of it."""
+        """Set the slider to the iterate shown, and the line below it to `note`."""
         if self.iterations is not None and self.note is not None:
             if self.iterations.value != index:
                 _set(self.iterations, index)
             self.note.content = _NOTE.format(html.escape(note))
 
     def show_ghosts(self, mode: str, number: int) -> None:
-        """Let the menu say which ghosts are shown."""
+        """Set the menu to the ghosts shown."""
         if self.ghosts is None or self.ghost_count is None:
             return
         title = next(title for title, other in GHOSTS.items() if other == mode)
@@ -118,18 +118,18 @@ class Controls:
             number = gui.add_slider("Number", 2, 24, 1, 8, visible=False)
             trace = gui.add_checkbox("Paths", True, hint="Paths of the outermost bodies")
         self.ghosts, self.ghost_count = ghosts, number
-        for knob in (ghosts, number):
-            knob.on_update(_from_browser(lambda _: self._actions.set_ghosts(GHOSTS[ghosts.value], int(number.value))))
+        for widget in (ghosts, number):
+            widget.on_update(_from_browser(lambda _: self._actions.set_ghosts(GHOSTS[ghosts.value], int(number.value))))
         trace.on_update(_from_browser(lambda event: self._actions.set_trace(event.target.value)))
 
 
-def _set(knob: Any, value: Any) -> None:
-    """Set a knob from Python; Viser's types call its value read-only, which it is not."""
-    knob.value = value
+def _set(widget: Any, value: Any) -> None:
+    """Set a widget from Python; Viser's types call its value read-only, which it is not."""
+    widget.value = value
 
 
 def _from_browser(act: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Return a callback for what a reader does; a value set from Python has no client and is left alone."""
+    """Return a callback that acts on events from a browser; values set from Python have no client and are ignored."""
 
     def callback(event: Any) -> None:
         if event.client_id is not None:

@@ -13,9 +13,11 @@ import numpy as np
 import viser
 
 from mjslq.files import atomic_write
+from mjslq.reports import limits
+from mjslq.reports.units import model_from_mjb
 from mjslq.result import Result
 from mjslq.validation import Array
-from mjslq.viewer import geometry, panels, series
+from mjslq.viewer import panels, series
 from mjslq.viewer.scene import SceneView, quiet
 
 _FRAME_RATE, _MOST_FRAMES = 50.0, 1500
@@ -37,7 +39,7 @@ def export_html(result: Result, path: str | os.PathLike[str]) -> None:
 
 
 def _page(result: Result) -> str:
-    model = None if result.scene is None else geometry.load_model(result.scene.model)
+    model = None if result.scene is None else model_from_mjb(result.scene.model)
     scene = ""
     if result.scene is not None:
         recording = html.escape(_recording(result), quote=True)
@@ -97,14 +99,27 @@ def _data(result: Result, model: Any) -> dict[str, Any]:
 
 
 def _group(result: Result, group: series.Group) -> dict[str, Any]:
-    times, values = series.thinned(*series.curves(result.trajectory, group), _POINTS)
-    return {
+    trajectory = result.trajectory
+    times, values = series.curves(trajectory, group)
+    found = series.limits(result, trajectory, group)
+    keep = series.thinning(values, _POINTS, None if found is None else found.active)
+    told: dict[str, Any] = {
         "title": group.title,
         "unit": group.unit,
         "labels": group.labels,
-        "x": _numbers(times),
-        "y": [_numbers(column) for column in values.T],
+        "x": _numbers(times[keep]),
+        "y": [_numbers(column) for column in values[keep].T],
+        "lines": [],
+        "bars": [],
     }
+    if found is not None:
+        lines = found.lines()
+        told["range"] = series.range_with_limits(values, [line for line, _ in lines])
+        told["lines"] = [{"y": _numbers(line[keep]), "curve": curve} for line, curve in lines]
+        steps = found.active[::2]  # curves give each step at both its ends
+        bars = [{"curve": i, "spans": limits.spans(column, trajectory.times)} for i, column in enumerate(steps.T)]
+        told["bars"] = [bar for bar in bars if bar["spans"]]
+    return told
 
 
 def _numbers(values: Array) -> list[float]:

@@ -55,15 +55,6 @@ class Plane:
     """Colour in [0, 1]; None when the model chose none."""
 
 
-def load_model(data: bytes) -> Any:
-    """Return the `mujoco.MjModel` stored in the MJB bytes `data`; ValueError when they hold none."""
-    try:
-        return mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": data})
-    except (ValueError, mujoco.FatalError) as error:
-        version = mujoco.__version__
-        raise ValueError(f"the result's scene is not a model that MuJoCo {version} reads ({error})") from None
-
-
 def pieces(model: Any) -> list[Piece]:
     """Return what is visible of `model`, but for its planes: one piece per body and colour."""
     parts: dict[tuple[int, tuple[float, float, float, float]], list[tuple[Array, Faces]]] = {}

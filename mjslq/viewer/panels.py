@@ -1,13 +1,18 @@
-"""What stands beside the robot in the viewer: a summary, and plots with a mark at the time shown."""
+"""Panels beside the robot: a summary, and plots with a mark at the time shown.
+
+A plot of controls shows their limits as dashed lines, and as bars on the time axis when each is at one of them.
+"""
 
 from __future__ import annotations
 
 import html
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mjslq.reports import limits
 from mjslq.result import Result
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
@@ -19,12 +24,19 @@ if TYPE_CHECKING:
 _POINTS = 800  # more than pixels, so that nothing shows of the thinning
 _HEIGHT, _TALL = 190, 280  # of a plot; beside a robot, and alone [px]
 _MARK = "#1f2933"
+_SHARED, _DASH = "#9aa5b1", (5, 4)
+"""Of the lines at limits."""
+_BAR = 0.035
+"""Height of the bar that marks when a control is at a limit, relative to the axis."""
+_BAR_HEIGHT = 5
+"""What a plot is higher by for each of them. [px]"""
+_LIMITS_NOTE = "dashed: limits; bars on the time axis: at a limit"
 _FONT = "font-size:12px;line-height:1.55"
 _GOOD, _FAIR = ("#1d7a4f", "#e3f4ea"), ("#94600b", "#fdf1dc")
 
 
-def figure(number: float) -> str:
-    """Return a number with four digits, as a reader of tables wants it."""
+def short(number: float) -> str:
+    """Return a number with four digits."""
     return f"{number:.4g}" if np.isfinite(number) else "not finite"
 
 
@@ -36,15 +48,18 @@ def facts(result: Result) -> list[tuple[str, str]]:
     """Return what a summary tells of a result: (label, value)."""
     told = [
         ("method", result.method or "not recorded"),
-        ("cost", figure(result.cost)),
+        ("cost", short(result.cost)),
         ("iterations", str(result.iterations)),
-        ("gradient norm", figure(result.gradient_norm)),
-        ("solve time", f"{figure(result.seconds)} s"),
-        ("horizon", f"{result.trajectory.horizon} steps, {figure(float(result.trajectory.times[-1]))} s"),
+        ("gradient norm", short(result.gradient_norm)),
+        ("solve time", f"{short(result.seconds)} s"),
+        *([("compiling", f"{short(result.compile_seconds)} s")] if result.compile_seconds > 0.0 else []),
+        ("horizon", f"{result.trajectory.horizon} steps, {short(float(result.trajectory.times[-1]))} s"),
         ("size", f"{_counted(result.trajectory.X, 'state')}, {_counted(result.trajectory.U, 'control')}"),
     ]
     if result.constraint_violation > 0.0:
-        told.insert(4, ("violation", figure(result.constraint_violation)))
+        told.insert(4, ("violation", short(result.constraint_violation)))
+    if at := limits.describe(result, brief=True):
+        told.append(("at limits", at))
     return told
 
 
@@ -68,6 +83,50 @@ def summary(result: Result) -> str:
     )
 
 
+@dataclass(frozen=True)
+class Curves:
+    """The columns of a plot over time."""
+
+    times: Array
+    """Shape (n,). [s]"""
+    values: Array
+    """Shape (n, k)."""
+    y_range: tuple[float, float]
+    """Ends of the vertical axis."""
+    limits: Array = field(default_factory=lambda: np.zeros((2, 0)))
+    """Further columns: the limits of the controls, and the tops of bars that mark when they are reached. (n, m)."""
+    styles: tuple[dict[str, Any], ...] = ()
+    """How Viser's plots draw each of `limits`."""
+    bars: int = 0
+    """Number of controls with bars."""
+
+    @staticmethod
+    def of(result: Result, trajectory: Trajectory, group: series.Group) -> Curves:
+        """The curves of a group along one of the result's iterates."""
+        times, values = series.curves(trajectory, group)
+        found = series.limits(result, trajectory, group)
+        active = None if found is None else found.active
+        keep = series.thinning(values, _POINTS, active)
+        times, values = times[keep], values[keep]
+        if found is None or active is None:
+            return Curves(times, values, series.value_range(values), np.zeros((len(times), 0)))
+        lines = [(line[keep], curve) for line, curve in found.lines()]
+        low, high = series.range_with_limits(values, [line for line, _ in lines])
+        columns: list[Array] = [line for line, _ in lines]
+        styles: list[dict[str, Any]] = [
+            {"stroke": _SHARED if curve is None else series.COLORS[curve], "width": 1, "dash": _DASH}
+            for _, curve in lines
+        ]
+        reached = np.flatnonzero(active.any(axis=0))
+        bar = _BAR * (high - low)
+        low -= bar * len(reached)
+        for place, curve in enumerate(reached):
+            foot = low + bar * place
+            columns.append(foot + 0.8 * bar * active[keep, curve])
+            styles.append({"fill": series.COLORS[curve], "fillTo": foot or 1e-300, "width": 0})
+        return Curves(times, values, (low, high), np.stack(columns, axis=1), tuple(styles), len(reached))
+
+
 class SignalPlot:
     """One plot of states, controls or outputs over time, with a choice of group and a legend of values."""
 
@@ -75,18 +134,19 @@ class SignalPlot:
         self,
         gui: viser.GuiApi,
         title: str,
+        result: Result,
         groups: list[series.Group],
         changed: Callable[[], None],
         tall: bool = False,
     ) -> None:
         """Add the elements to the current container; `changed` is called when the reader chooses another group."""
+        self._result = result
         self._height = _TALL if tall else _HEIGHT
         self._gui = gui
         self._groups = {group.title: group for group in groups}
         self._group = groups[0]
         self._trajectory: Trajectory | None = None
-        self._curves: tuple[Array, Array] = (np.zeros(2), np.zeros((2, 1)))
-        self._range = (-1.0, 1.0)
+        self._curves = Curves(np.zeros(2), np.zeros((2, 1)), (-1.0, 1.0))
         self._plot: viser.GuiUplotHandle | None = None
         self._legend: viser.GuiHtmlHandle | None = None
         self._changed = changed
@@ -98,8 +158,7 @@ class SignalPlot:
     def set_trajectory(self, trajectory: Trajectory) -> None:
         """Draw the curves of `trajectory`."""
         self._trajectory = trajectory
-        self._curves = series.thinned(*series.curves(trajectory, self._group), _POINTS)
-        self._range = series.value_range(self._curves[1])
+        self._curves = Curves.of(self._result, trajectory, self._group)
         for element in (self._plot, self._legend):
             if element is not None:
                 element.remove()
@@ -107,12 +166,12 @@ class SignalPlot:
             self._plot = _uplot(
                 self._gui,
                 self._data(0.0),
-                self._group.labels,
+                [*_strokes(self._group.labels), *self._curves.styles],
                 (0.0, float(trajectory.times[-1])),
-                self._range,
+                self._curves.y_range,
                 x_label="time [s]",
                 y_label=self._group.unit and f"[{self._group.unit}]",
-                height=self._height,
+                height=self._height + round(_BAR_HEIGHT * self._curves.bars),
             )
             self._legend = self._gui.add_html(self._legend_html(0.0))
 
@@ -127,7 +186,8 @@ class SignalPlot:
         self._changed()
 
     def _data(self, time: float) -> tuple[Array, ...]:
-        return with_mark(*self._curves, time, self._range)
+        curves = self._curves
+        return with_mark(curves.times, np.hstack([curves.values, curves.limits]), time, curves.y_range)
 
     def _legend_html(self, time: float) -> str:
         assert self._trajectory is not None
@@ -140,9 +200,10 @@ class SignalPlot:
             f'<span style="opacity:.65;font-variant-numeric:tabular-nums">{value:.3g}</span></div>'
             for label, value, color in zip(self._group.labels, now, series.COLORS, strict=False)
         )
+        note = f'<div style="grid-column:1/-1;opacity:.65">{_LIMITS_NOTE}</div>' if self._curves.styles else ""
         return (
             f'<div style="{_FONT};font-size:11px;display:grid;grid-template-columns:repeat(2,minmax(0,1fr));'
-            f'gap:0 18px;padding:2px 14px 6px 12px">{entries}</div>'
+            f'gap:0 18px;padding:2px 14px 6px 12px">{entries}{note}</div>'
         )
 
 
@@ -159,13 +220,12 @@ class CostPlot:
         self._plot = _uplot(
             gui,
             with_mark(*self._curves, float(iterations[-1]), self._range),
-            ("cost",),
+            _strokes(("cost",), len(iterations) <= 40),
             (0.0, max(float(iterations[-1]), 1.0)),
             self._range,
             x_label="iteration",
             y_label="log10 cost" if logarithmic else "cost",
             whole=True,
-            points=len(iterations) <= 40,
         )
 
     def mark(self, iteration: float) -> None:
@@ -184,29 +244,37 @@ def add_plot(
     *,
     whole: bool = False,
 ) -> None:
-    """Add a plot of columns `values` (n, k) over `x` (n,) that stays as it is; its mark lies on the lower limit."""
+    """Add a plot of columns `values` (n, k) over `x` (n,) that stays as it is; its mark lies at the foot."""
     data = (x, *values.T, np.full(len(x), y_range[0]))
     x_range = (float(x[0]), max(float(x[-1]), float(x[0]) + 1e-9))
-    _uplot(gui, data, labels, x_range, y_range, x_label=x_label, y_label=y_label, whole=whole)
+    _uplot(gui, data, _strokes(labels), x_range, y_range, x_label=x_label, y_label=y_label, whole=whole)
 
 
-def with_mark(x: Array, values: Array, at: float, limits: tuple[float, float]) -> tuple[Array, ...]:
-    """Return x, every column of `values`, and a last curve that runs along the lower limit and rises at `at`.
+def with_mark(x: Array, values: Array, at: float, y_range: tuple[float, float]) -> tuple[Array, ...]:
+    """Return x, every column of `values`, and a last curve that runs along the foot of the plot and rises at `at`.
 
     The curves get three more points at `at`, interpolated, so that all share one x as the plot demands.
     """
     here = int(np.searchsorted(x, at))
     now = [np.interp(at, x, column) if len(x) else np.nan for column in values.T]
     columns = [np.insert(column, here, np.full(3, value)) for column, value in zip(values.T, now, strict=True)]
-    mark = np.full(len(x) + 3, limits[0])
-    mark[here + 1] = limits[1]
+    mark = np.full(len(x) + 3, y_range[0])
+    mark[here + 1] = y_range[1]
     return (np.insert(x, here, np.full(3, at)), *columns, mark)
+
+
+def _strokes(labels: Sequence[str], points: bool = False) -> list[dict[str, Any]]:
+    """How the curves with these labels are drawn."""
+    return [
+        {"label": label, "stroke": color, "width": 1.5, "points": {"show": points, "size": 5, "fill": color}}
+        for label, color in zip(labels, series.COLORS, strict=False)
+    ]
 
 
 def _uplot(
     gui: viser.GuiApi,
     data: tuple[Array, ...],
-    labels: tuple[str, ...],
+    styles: Sequence[dict[str, Any]],
     x_range: tuple[float, float],
     y_range: tuple[float, float],
     *,
@@ -214,21 +282,19 @@ def _uplot(
     y_label: str,
     height: int = _HEIGHT,
     whole: bool = False,
-    points: bool = False,
 ) -> viser.GuiUplotHandle:
-    """Add a plot whose last curve is the mark; `whole` keeps the ticks of x on whole numbers."""
+    """Add a plot with a style for each curve but the last, the mark; `whole` keeps the ticks of x on whole numbers."""
     from viser import uplot
 
     lines: list[Any] = [uplot.Series(label=x_label)]
-    for label, color in zip(labels, series.COLORS, strict=False):
-        dots = uplot.Series_Points(show=points, size=5, fill=color)
-        lines.append(uplot.Series(label=label, stroke=color, width=1.5, points=dots, scale="y"))
+    plain: Any = {"label": "", "points": {"show": False}, "scale": "y"}
+    lines += [plain | style for style in styles]
     lines.append(uplot.Series(label="", stroke=_MARK, width=1, points=uplot.Series_Points(show=False), scale="y"))
     axis: dict[str, Any] = {"labelSize": 18, "font": "11px system-ui", "labelFont": "11px system-ui", "labelGap": 0}
     x_axis: Any = axis | {"label": x_label, "size": 26}
     if whole:
         x_axis["incrs"] = tuple(step * 10**power for power in range(6) for step in (1, 2, 5))
-    digits = max(len(f"{limit:,.0f}") for limit in y_range)
+    digits = max(len(f"{end:,.0f}") for end in y_range)
     y_axis: Any = axis | {"scale": "y", "size": 22 + 7 * max(digits, 4)} | ({"label": y_label} if y_label else {})
     return gui.add_uplot(
         data,

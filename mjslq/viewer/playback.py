@@ -1,4 +1,4 @@
-"""The clock of a viewer: where playback stands, and how it moves on. Knows of no window."""
+"""The clock of a viewer: the time shown, and how it runs; independent of Viser."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class Playback:
     duration: float
     """Length of the motion. [s]"""
     time: float = 0.0
-    """Where playback stands, in [0, duration]. [s]"""
+    """Time shown, in [0, duration]. [s]"""
     playing: bool = False
     """Whether time runs."""
     speed: float = 1.0
@@ -23,8 +23,8 @@ class Playback:
     """How long a looped motion rests at its end. [s of wall time]"""
     _rested: float = 0.0
 
-    def advance(self, seconds: float) -> bool:
-        """Let `seconds` of wall time pass; return whether the shown time has changed."""
+    def elapse(self, seconds: float) -> bool:
+        """Let `seconds` of wall time pass; return whether the time shown has changed."""
         if not self.playing or seconds <= 0.0:
             return False
         if self.time >= self.duration:

@@ -10,9 +10,10 @@ from functools import lru_cache
 import numpy as np
 import viser
 
+from mjslq.reports.units import model_from_mjb
 from mjslq.result import Result
 from mjslq.validation import choose, count
-from mjslq.viewer import geometry, panels, series
+from mjslq.viewer import panels, series
 from mjslq.viewer.controls import GHOSTS, Actions, Controls
 from mjslq.viewer.motion import Motion
 from mjslq.viewer.playback import Playback
@@ -22,6 +23,11 @@ _FRAMES = 30.0  # sent to the browser a second
 _MARKS = 10.0  # moves of the plots' marks a second; each resends the curves
 _PLOTS_WIDTH, _CONTROLS_WIDTH = 390.0, 330.0  # [px]
 _ASPECT = 0.85  # of what the panels leave of a usual window
+_AFTERWARDS = {
+    "accepted": ", then a step of {}",
+    "rejected": ", then a trial that was rejected",
+    "failed": ", then no step was found",
+}
 _NO_SCENE = (
     '<div style="font-size:12px;line-height:1.55;opacity:.75;padding:8px 12px">This problem has no model to draw, '
     "so there are only its plots.</div>"
@@ -55,7 +61,7 @@ class Player:
         self._host = host
         self._wanted_port = count("port", port)
         self._playback = Playback(float(result.trajectory.times[-1]), playing=autoplay)
-        self._model = None if result.scene is None else geometry.load_model(result.scene.model)
+        self._model = None if result.scene is None else model_from_mjb(result.scene.model)
         self._trajectory = result.trajectory
         self._iterate = _nearest_iterate(result)
         self._ghosts = ("off", 0)
@@ -89,7 +95,7 @@ class Player:
 
     @property
     def controls(self) -> Controls:
-        """The knobs in the browser; RuntimeError before `start` and after `stop`."""
+        """The widgets in the browser; RuntimeError before `start` and after `stop`."""
         if self._controls is None:
             raise RuntimeError("the player is not running; start it first")
         return self._controls
@@ -219,9 +225,9 @@ class Player:
     def _note_iterate(self, index: int) -> None:
         entry = self._result.log[index] if index < len(self._result.log) else None
         if self._controls is not None:
-            told = "" if entry is None else f"cost {panels.figure(entry.cost)}"
-            if entry is not None and entry.alpha > 0.0:
-                told += f", then a step of {panels.figure(entry.alpha)}"
+            told = "" if entry is None else f"cost {panels.short(entry.cost)}"
+            if entry is not None:
+                told += _AFTERWARDS.get(entry.outcome, "").format(panels.short(entry.alpha))
             self._controls.show_iterate(index, told)
         if self._cost_plot is not None and entry is not None:
             self._cost_plot.mark(float(entry.iteration))
@@ -264,14 +270,16 @@ class Player:
         self._refresh()
 
     def _add_plots(self, gui: viser.GuiApi) -> None:
-        panel = gui.add_panel()
+        result, panel = self._result, gui.add_panel()
         panel.dock_left()
         panel.set_width(_PLOTS_WIDTH if self._view is not None else 2.1 * _PLOTS_WIDTH)
         with panel.add_tab("Plots"):
             for title, kind in (("States", "states"), ("Controls", "controls"), ("Outputs", "outputs")):
-                found = series.groups(self._result, kind, self._model)
+                found = series.groups(result, kind, self._model)
                 if found:
-                    self._plots.append(panels.SignalPlot(gui, title, found, self._redraw_plots, self._view is None))
+                    self._plots.append(
+                        panels.SignalPlot(gui, title, result, found, self._redraw_plots, self._view is None)
+                    )
         self._redraw_plots()
 
     def _redraw_plots(self) -> None:
@@ -286,7 +294,7 @@ class Player:
         return self._view.motion(self._result.iterates[index])
 
     def _refresh(self) -> None:
-        """Send where playback stands: robot and knobs each time, marks at their own pace."""
+        """Send where playback stands: robot and widgets each time, marks at their own pace."""
         if self._server is None or self._controls is None:
             return
         time, playing = self._playback.time, self._playback.playing
@@ -315,7 +323,7 @@ class Player:
             self._ended.wait(1.0 / _FRAMES)
             with self._lock:
                 now = clock.monotonic()
-                moved = self._playback.advance(now - last)
+                moved = self._playback.elapse(now - last)
                 last = now
                 if moved or not self._playback.playing:
                     self._refresh()

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import rich
 
+from mjslq.reports.units import model_from_mjb
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
@@ -47,7 +48,7 @@ class SceneView:
         """Draw `scene`, with the camera on all of `trajectory` in a window of width / height `aspect`."""
         self._server = server
         self._scene = scene
-        self._model = geometry.load_model(scene.model)
+        self._model = model_from_mjb(scene.model)
         self._ghosts: list[_Mover] = []
         self._trace_visible = True
         self._motion = self.motion(trajectory)

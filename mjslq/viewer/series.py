@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from mjslq.reports.limits import reached
+from mjslq.reports.units import control_kinds, state_kinds
 from mjslq.result import Result
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
@@ -43,9 +46,9 @@ def groups(result: Result, kind: str, model: Any = None) -> list[Group]:
     given = tuple(result.names.get(kind, ()))
     labels = given if len(given) == size else tuple(f"{letter}[{i}]" for i in range(size))
     if kind == "states" and model is not None and result.scene is not None:
-        kinds = _state_kinds(model, result.scene.columns, size)
+        kinds = state_kinds(model, result.scene.columns, size)
     elif kind == "controls" and model is not None and model.nu == size:
-        kinds = _control_kinds(model)
+        kinds = control_kinds(model)
     else:
         kinds = [(kind, "")] * size
     found = []
@@ -75,6 +78,49 @@ def curves(trajectory: Trajectory, group: Group) -> tuple[Array, Array]:
     return trajectory.times[:good][finite], values[:good][finite]
 
 
+@dataclass(frozen=True)
+class Limits:
+    """Limits of the controls of a group, at the times that `curves` gives them at."""
+
+    lower: Array
+    """-inf where there is none. Shape (n, k)."""
+    upper: Array
+    """Shape (n, k)."""
+    active: NDArray[np.bool_]
+    """Whether a control is at one of its limits. Shape (n, k)."""
+
+    def lines(self) -> list[tuple[Array, int | None]]:
+        """The finite limits, each once: values (n,), and the curve whose limit it is, None where several share it."""
+        shared: dict[bytes, list[int]] = {}
+        columns = [limit[:, i] for limit in (self.upper, self.lower) for i in range(limit.shape[1])]
+        for place, column in enumerate(columns):
+            if np.isfinite(column).all():
+                shared.setdefault(column.tobytes(), []).append(place)
+        count = self.lower.shape[1]
+        return [(columns[m[0]], m[0] % count if len({i % count for i in m}) == 1 else None) for m in shared.values()]
+
+
+def limits(result: Result, trajectory: Trajectory, group: Group) -> Limits | None:
+    """Return the limits of a group along one of the result's iterates; None where no control in it has any."""
+    columns = list(group.columns)
+    if group.kind != "controls":
+        return None
+    lower, upper = result.lower[:, columns], result.upper[:, columns]
+    if not (np.isfinite(lower).any() or np.isfinite(upper).any()):
+        return None
+    active = reached(result, trajectory.U)[:, columns] != 0
+    steps = len(curves(trajectory, group)[0]) // 2
+    lower, upper, active = (np.repeat(part[:steps], 2, axis=0) for part in (lower, upper, active))
+    return Limits(lower, upper, active)
+
+
+def range_with_limits(values: Array, lines: Sequence[Array], room: float = 0.08) -> tuple[float, float]:
+    """Return limits of an axis for `values`, and for those `lines` that do not more than double it."""
+    low, high = value_range(values, room)
+    near = [line for line in lines if low - (high - low) <= line.min() and line.max() <= high + (high - low)]
+    return value_range(np.concatenate([values.ravel(), *near]), room) if near else (low, high)
+
+
 def values_at(trajectory: Trajectory, group: Group, time: float) -> Array:
     """Return the values (k,) of a group at `time` [s]; NaN where the trajectory holds none."""
     times = trajectory.times
@@ -97,16 +143,21 @@ def value_range(values: Array, room: float = 0.08) -> tuple[float, float]:
     return low - room * span, high + room * span
 
 
-def thinned(times: Array, values: Array, most: int) -> tuple[Array, Array]:
-    """Return at most about `most` of the points, keeping the extremes of every stretch that is dropped."""
-    if len(times) <= most:
-        return times, values
-    keep = {0, len(times) - 1}
-    for stretch in np.array_split(np.arange(len(times)), max(most // (2 * values.shape[1]), 2)):
+def thinning(values: Array, most: int, switches: NDArray[np.bool_] | None = None) -> NDArray[np.intp]:
+    """Return indices of at most about `most` points (n, k) that keep the extremes of every stretch that is dropped.
+
+    Points where a column of `switches` (n, m) changes are kept as well, with those before them.
+    """
+    if len(values) <= most:
+        return np.arange(len(values))
+    keep = {0, len(values) - 1}
+    for stretch in np.array_split(np.arange(len(values)), max(most // (2 * values.shape[1]), 2)):
         keep.update(stretch[np.argmin(values[stretch], axis=0)])
         keep.update(stretch[np.argmax(values[stretch], axis=0)])
-    index = np.array(sorted(keep))
-    return times[index], values[index]
+    if switches is not None:
+        after = np.flatnonzero((switches[1:] != switches[:-1]).any(axis=1)) + 1
+        keep.update(after, after - 1)
+    return np.array(sorted(keep), dtype=np.intp)
 
 
 def costs(result: Result) -> tuple[Array, Array]:
@@ -117,57 +168,3 @@ def costs(result: Result) -> tuple[Array, Array]:
 
 def _array(trajectory: Trajectory, kind: str) -> Array:
     return {"states": trajectory.X, "controls": trajectory.U, "outputs": trajectory.Y}[kind]
-
-
-def _state_kinds(model: Any, columns: tuple[int, ...], size: int) -> list[tuple[str, str]]:
-    """Return (kind, unit) of each state: positions where the scene reads them, velocities if their number fits."""
-    position_units, velocity_units, length = [], [], length_unit(model)
-    for joint in range(model.njnt):
-        joint_type = mujoco.mjtJoint(model.jnt_type[joint])
-        lengths, quaternions, angles = {
-            mujoco.mjtJoint.mjJNT_FREE: (3, 4, 0),
-            mujoco.mjtJoint.mjJNT_BALL: (0, 4, 0),
-            mujoco.mjtJoint.mjJNT_SLIDE: (1, 0, 0),
-            mujoco.mjtJoint.mjJNT_HINGE: (0, 0, 1),
-        }[joint_type]
-        position_units += [("positions", length)] * lengths + [("quaternions", "")] * quaternions
-        position_units += [("positions", "rad")] * angles
-        turns = 3 if quaternions else angles
-        velocity_units += [("velocities", f"{length}/s")] * lengths + [("velocities", "rad/s")] * turns
-    kinds = [("other states", "")] * size
-    for column, entry in zip(columns, position_units, strict=False):
-        kinds[column] = entry
-    rest = [i for i in range(size) if i not in set(columns)]
-    if len(rest) in (model.nv, model.nv + model.na):
-        for column, entry in zip(rest, velocity_units, strict=False):
-            kinds[column] = entry
-    return kinds
-
-
-def length_unit(model: Any) -> str:
-    """Return the unit that a model counts lengths in: [m], or what its custom text "length_unit" says."""
-    text = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, "length_unit")
-    if text < 0:
-        return "m"
-    start = model.text_adr[text]
-    return bytes(model.text_data[start : start + model.text_size[text]]).rstrip(b"\0").decode()
-
-
-def _control_kinds(model: Any) -> list[tuple[str, str]]:
-    """Return (kind, unit) of each control: a force or torque where an actuator passes it on as it is."""
-    kinds: list[tuple[str, str]] = []
-    for actuator in range(model.nactuator):
-        joint = int(model.actuator_trnid[actuator, 0])
-        plain = (
-            model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
-            and model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE
-            and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
-            and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
-            and model.actuator_gainprm[actuator, 0] == 1.0
-            and model.actuator_gear[model.actuator_outadr[actuator], 0] == 1.0
-        )
-        units = {mujoco.mjtJoint.mjJNT_SLIDE: "N", mujoco.mjtJoint.mjJNT_HINGE: "Nm"}
-        unit = units.get(mujoco.mjtJoint(model.jnt_type[joint]), "") if plain else ""
-        kind = ({"N": "forces", "Nm": "torques"}.get(unit, "controls"), unit)
-        kinds += [kind] * int(model.actuator_ctrlnum[actuator])
-    return kinds

@@ -22,6 +22,9 @@ CHROMIUM_ARGUMENTS = [
     "--disable-component-update", "--disable-sync", "--enable-unsafe-swiftshader",
 ]  # fmt: skip
 
+SHOULDER_LIMIT = 1.5
+"""Of the shoulder's torque, which the motion reaches towards its end."""
+
 ARM = """
 <mujoco model="arm">
   <worldbody>
@@ -57,11 +60,23 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], bytes]
 def swing(steps: int, dt: float, amplitude: float) -> Trajectory:
     t = dt * np.arange(steps + 1)
     q = amplitude * np.stack([np.sin(2.0 * t), 1.0 - np.cos(3.0 * t)], axis=1)
-    return Trajectory(np.hstack([q, np.gradient(q, dt, axis=0)]), np.stack([t[:-1], -t[:-1]], axis=1), dt=dt)
+    U = np.stack([t[:-1], -t[:-1]], axis=1)
+    U[:, 0] = np.clip(U[:, 0], -SHOULDER_LIMIT, SHOULDER_LIMIT)
+    return Trajectory(np.hstack([q, np.gradient(q, dt, axis=0)]), U, dt=dt)
+
+
+def limits(steps: int) -> dict[str, np.ndarray]:
+    """Limits of the shoulder's control alone."""
+    upper = np.tile([SHOULDER_LIMIT, np.inf], (steps, 1))
+    return {"lower": -upper, "upper": upper}
 
 
 def iteration_log(costs: list[float]) -> tuple[IterationLog, ...]:
-    return tuple(IterationLog(i, cost, cost, 1.0, -1.0, 0.5, 2, 0.01 * i) for i, cost in enumerate(costs))
+    last = len(costs) - 1
+    return tuple(
+        IterationLog(i, cost, cost, 1.0, -1.0, 0.5, "final" if i == last else "accepted", 2, 0.01 * i)
+        for i, cost in enumerate(costs)
+    )
 
 
 @pytest.fixture(scope="session")
@@ -69,7 +84,7 @@ def arm(compiled: Callable[[str], bytes]) -> Result:
     """Two links on a post, four iterates, the last one shown."""
     iterates = tuple(swing(100, 0.02, amplitude) for amplitude in (0.1, 0.4, 0.7, 1.0))
     return Result(
-        Status.CONVERGED, Status.CONVERGED.message, 2.0, 3, 1e-8, iterates[-1], np.zeros((100, 2, 4)),
+        Status.CONVERGED, Status.CONVERGED.message, 2.0, 3, 1e-8, iterates[-1], np.zeros((100, 2, 4)), **limits(100),
         log=iteration_log([900.0, 80.0, 9.0, 2.0]), iterates=iterates, seconds=0.25, problem="two links", method="slq",
         names={"states": ("shoulder", "elbow", "shoulder rate", "elbow rate"), "controls": ("shoulder", "elbow")},
         scene=Scene(compiled(ARM), (0, 1), "arm"),
@@ -80,7 +95,7 @@ def arm(compiled: Callable[[str], bytes]) -> Result:
 def function() -> Result:
     """A problem with nothing to draw."""
     return Result(
-        Status.MAX_ITERATIONS, Status.MAX_ITERATIONS.message, 3.0, 2, 0.1, swing(50, 0.04, 1.0), np.zeros((50, 2, 4)),
+        Status.MAX_ITERATIONS, Status.MAX_ITERATIONS.message, 3.0, 2, 0.1, swing(50, 0.04, 1.0), None, **limits(50),
         log=iteration_log([5.0, -1.0, 3.0]), problem="a <b> & c", method="gradient",
     )  # fmt: skip
 

@@ -136,7 +136,9 @@ def test_exported_function_problem_has_plots_and_a_clock(function: Result, brows
     assert float(mark.get_attribute("x1")) > before + 50.0
     assert page.locator(".card").count() == 3 and page.locator("iframe").count() == 0
     assert page.locator("h1").inner_text().startswith("a <b> & c")
-    assert page.locator(".plot path").count() == 7  # four states, two controls, the costs
+    assert page.locator(".plot path:not(.limit)").count() == 7  # four states, two controls, the costs
+    assert page.locator(".plot path.limit").count() == 2  # of the shoulder, above and below
+    assert page.locator(".plot rect.bar").count() == 1  # where it is at the upper one
     assert not strays
     page.context.close()
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import mjslq
+from mjslq.reports import convergence
 from mjslq.viewer import Player, comparison
 
 
@@ -14,12 +15,12 @@ def results():
 
 
 def test_relative_costs_are_those_of_the_logs(results):
-    curves = comparison.relative_costs(results)
+    curves = convergence.relative_costs([result.log for result in results])
     best = min(entry.cost for result in results for entry in result.log)
     for result, curve in zip(results, curves, strict=True):
         assert len(curve) == len(result.log)
         expected = (result.log[0].cost - best) / best
-        assert curve[0] == pytest.approx(np.log10(expected))
+        assert curve[0] == pytest.approx(expected)
     assert curves[0][0] == curves[1][0]  # the same start
     assert any(np.isnan(curve).any() for curve in curves)  # the best has nothing left
 
@@ -28,7 +29,10 @@ def test_results_that_never_started_do_not_break_it(results):
     import dataclasses
 
     stillborn = dataclasses.replace(results[0], log=())
-    assert [len(curve) for curve in comparison.relative_costs([results[0], stillborn])] == [len(results[0].log), 0]
+    assert [len(curve) for curve in convergence.relative_costs([results[0].log, stillborn.log])] == [
+        len(results[0].log),
+        0,
+    ]
 
 
 def test_player_opens_with_the_comparison(results, monkeypatch):

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from mjslq.reports.units import model_from_mjb
 from mjslq.result import Result
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
@@ -92,7 +93,7 @@ def test_only_hidden_groups_are_shown_after_all() -> None:
 
 def test_poses_are_those_of_mj_forward(arm: Result) -> None:
     assert arm.scene is not None
-    model = geometry.load_model(arm.scene.model)
+    model = model_from_mjb(arm.scene.model)
     moved = motion.motion(model, arm.scene, arm.trajectory)
     data = mujoco.MjData(model)
     for n in (0, 17, 100):
@@ -105,7 +106,7 @@ def test_poses_are_those_of_mj_forward(arm: Result) -> None:
 
 def test_poses_between_and_beyond_knots(arm: Result) -> None:
     assert arm.scene is not None
-    moved = motion.motion(geometry.load_model(arm.scene.model), arm.scene, arm.trajectory)
+    moved = motion.motion(model_from_mjb(arm.scene.model), arm.scene, arm.trajectory)
     positions, wxyzs = moved.at(0.01)
     np.testing.assert_allclose(positions, 0.5 * (moved.positions[0] + moved.positions[1]))
     np.testing.assert_allclose(np.linalg.norm(wxyzs, axis=1), 1.0)
@@ -127,7 +128,7 @@ def test_diverged_motion_holds_its_last_finite_pose(arm: Result) -> None:
     assert arm.scene is not None
     X = arm.trajectory.X.copy()
     X[30:] = np.nan
-    model = geometry.load_model(arm.scene.model)
+    model = model_from_mjb(arm.scene.model)
     moved = motion.motion(model, arm.scene, Trajectory(X, arm.trajectory.U, dt=0.02, diverged_at=30))
     np.testing.assert_array_equal(moved.at(2.0)[0], moved.positions[29])
     lost = motion.motion(
@@ -138,7 +139,7 @@ def test_diverged_motion_holds_its_last_finite_pose(arm: Result) -> None:
 
 def test_extent_holds_every_vertex_of_the_motion(arm: Result) -> None:
     assert arm.scene is not None
-    model = geometry.load_model(arm.scene.model)
+    model = model_from_mjb(arm.scene.model)
     moved = motion.motion(model, arm.scene, arm.trajectory)
     pieces = geometry.pieces(model)
     boxes = np.array([[piece.vertices.min(axis=0), piece.vertices.max(axis=0)] for piece in pieces])
@@ -171,10 +172,10 @@ def test_camera_sees_the_whole_box_and_fills_the_window(half: tuple[float, ...],
 def test_scene_that_is_no_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo keeps a log where it stands
     with pytest.raises(ValueError, match="not a model that MuJoCo"):
-        geometry.load_model(b"nothing of the kind")
+        model_from_mjb(b"nothing of the kind")
 
 
 def test_scene_that_does_not_fit_its_model(arm: Result, compiled: Callable[[str], bytes]) -> None:
     assert arm.scene is not None
     with pytest.raises(ValueError, match="names 1 entries of the state as qpos, but its model has 2"):
-        motion.motion(geometry.load_model(arm.scene.model), Scene(arm.scene.model, (0,)), arm.trajectory)
+        motion.motion(model_from_mjb(arm.scene.model), Scene(arm.scene.model, (0,)), arm.trajectory)

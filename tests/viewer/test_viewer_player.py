@@ -1,4 +1,4 @@
-"""The player: its life, its knobs from Python, and what it does with results that went wrong."""
+"""The player: its life, its widgets from Python, and what it does with results that went wrong."""
 
 from __future__ import annotations
 
@@ -113,7 +113,9 @@ def test_diverged_iterates_and_costs_are_shown(arm: Result) -> None:
     X[40:] = np.nan
     lost = Trajectory(X, arm.trajectory.U, dt=0.02, diverged_at=40)
     gone = Trajectory(np.full_like(X, np.nan), arm.trajectory.U, dt=0.02, diverged_at=0)
-    log = tuple(IterationLog(i, cost, np.nan, 1.0, -1.0, 0.0, 1, 0.0) for i, cost in enumerate((np.inf, np.nan, 4.0)))
+    log = tuple(
+        IterationLog(i, cost, np.nan, 1.0, -1.0, 0.0, "failed", 1, 0.0) for i, cost in enumerate((np.inf, np.nan, 4.0))
+    )
     bad = dataclasses.replace(arm, log=log, iterates=(lost, gone, arm.trajectory), cost=np.inf)
     with Player(bad, autoplay=False) as player:
         for index in (0, 1, 2):

@@ -8,16 +8,17 @@ import mujoco
 import numpy as np
 import pytest
 
+from mjslq.reports.units import model_from_mjb
 from mjslq.result import Result
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
-from mjslq.viewer import geometry, panels, series
+from mjslq.viewer import panels, series
 from mjslq.viewer.playback import Playback
 
 
 def test_groups_carry_names_and_units(arm: Result) -> None:
     assert arm.scene is not None
-    model = geometry.load_model(arm.scene.model)
+    model = model_from_mjb(arm.scene.model)
     states = series.groups(arm, "states", model)
     assert [group.title for group in states] == ["positions [rad]", "velocities [rad/s]"]
     assert states[1].labels == ("shoulder rate", "elbow rate") and states[1].columns == (2, 3)
@@ -65,11 +66,51 @@ def test_diverged_curves_end_where_they_are_finite(function: Result) -> None:
         assert len(times) == length and np.isfinite(values).all()
 
 
+def test_plots_of_controls_show_their_limits(arm: Result) -> None:
+    (group,) = series.groups(arm, "controls")
+    found = series.limits(arm, arm.trajectory, group)
+    assert found is not None
+    ((upper, first), (lower, second)) = found.lines()  # of the shoulder alone; the elbow has none
+    assert (first, second) == (0, 0) and (upper == 1.5).all() and (lower == -1.5).all()
+    assert not found.active[:, 1].any()
+    np.testing.assert_array_equal(found.active[::2, 0], arm.trajectory.times[:-1] >= 1.5 - 1.5e-3)
+    drawn = panels.Curves.of(arm, arm.trajectory, group)
+    assert drawn.limits.shape == (200, 3) and len(drawn.styles) == 3 and drawn.bars == 1
+    top, foot = drawn.limits[:, 2], drawn.styles[2]["fillTo"]
+    assert ((top > foot) == found.active[:, 0]).all() and top.max() < drawn.values.min()
+    assert drawn.y_range[0] <= foot and drawn.y_range[1] > 1.5
+    assert series.limits(arm, arm.trajectory, series.groups(arm, "states")[0]) is None
+
+
+def test_limits_that_controls_share_are_one_line_and_far_ones_leave_the_axis_alone() -> None:
+    shared = series.Limits(-np.ones((4, 3)), np.ones((4, 3)), np.zeros((4, 3), dtype=bool))
+    assert [(line[0], curve) for line, curve in shared.lines()] == [(1.0, None), (-1.0, None)]
+    values = np.array([[-0.5], [0.5]])
+    near, far = np.full(2, 1.0), np.full(2, 87.0)
+    low, high = series.range_with_limits(values, [near, far])
+    assert low < -0.5 and 1.0 < high < 2.0
+
+
+def test_limits_follow_the_iterate_shown(arm: Result) -> None:
+    (group,) = series.groups(arm, "controls")
+    early = Trajectory(arm.trajectory.X, 0.1 * arm.trajectory.U, dt=0.02)
+    found = series.limits(arm, early, group)
+    assert found is not None and not found.active.any()
+
+
+def test_switches_survive_thinning() -> None:
+    values, switches = np.zeros((5000, 1)), np.zeros((5000, 1), dtype=bool)
+    switches[1001:1207] = True
+    index = series.thinning(values, 100, switches)
+    assert {1000, 1001, 1206, 1207} <= set(index.tolist())
+
+
 def test_thinning_keeps_peaks() -> None:
     values = np.zeros((5000, 2))
     values[1234, 0], values[4321, 1] = 7.0, -3.0
-    times, kept = series.thinned(np.arange(5000.0), values, 300)
-    assert len(times) <= 320 and kept.max() == 7.0 and kept.min() == -3.0 and (np.diff(times) > 0).all()
+    index = series.thinning(values, 300)
+    assert len(index) <= 320 and (np.diff(index) > 0).all()
+    assert values[index].max() == 7.0 and values[index].min() == -3.0
 
 
 @pytest.mark.parametrize("values", [np.array([2.0, 2.0]), np.zeros(3), np.array([np.nan]), np.array([-1.0, 5.0])])
@@ -89,16 +130,16 @@ def test_mark_rises_at_its_place_and_leaves_the_curves_alone(at: float) -> None:
 
 def test_playback_runs_rests_and_starts_over() -> None:
     clock = Playback(1.0, playing=True, speed=2.0, rest=0.5)
-    assert clock.advance(0.25) and clock.time == 0.5
-    assert clock.advance(9.0) and clock.time == 1.0
-    assert not clock.advance(0.3) and clock.time == 1.0
-    assert clock.advance(0.3) and clock.time == 0.0 and clock.playing
+    assert clock.elapse(0.25) and clock.time == 0.5
+    assert clock.elapse(9.0) and clock.time == 1.0
+    assert not clock.elapse(0.3) and clock.time == 1.0
+    assert clock.elapse(0.3) and clock.time == 0.0 and clock.playing
 
 
 def test_playback_without_loop_stops_at_the_end_and_plays_again() -> None:
     clock = Playback(1.0, playing=True, loop=False)
-    clock.advance(2.0)
-    clock.advance(0.1)
+    clock.elapse(2.0)
+    clock.elapse(0.1)
     assert clock.time == 1.0 and not clock.playing
     clock.toggle()
     assert clock.time == 0.0 and clock.playing
@@ -107,7 +148,7 @@ def test_playback_without_loop_stops_at_the_end_and_plays_again() -> None:
 def test_seeking_pauses_and_stays_inside() -> None:
     clock = Playback(1.0, playing=True)
     clock.seek(7.0)
-    assert clock.time == 1.0 and not clock.playing and not clock.advance(1.0)
+    assert clock.time == 1.0 and not clock.playing and not clock.elapse(1.0)
     clock.seek(-1.0)
     assert clock.time == 0.0
 
