@@ -228,20 +228,17 @@ def _result(
     outcome: Outcome, monitor: Monitor, problem: Problem, method: str, options: dict[str, Any], remarks: list[str]
 ) -> Result:
     dynamics, iterate, box = problem.dynamics, outcome.iterate, problem.box
-    multipliers = {}
-    if box.bounded and np.isfinite(iterate.gradient_norm):
-        multipliers["controls"] = iterate.projected_gradient - iterate.gradient
     return Result(
         status=outcome.status,
         message=" ".join(part for part in (outcome.status.message, *remarks) if part),
         cost=iterate.cost,
         iterations=sum(entry.outcome == "accepted" for entry in monitor.log),
-        gradient_norm=iterate.gradient_norm,
+        gradient_norm=outcome.gradient_norm,
         trajectory=iterate.trajectory,
         gains=outcome.gains,
         lower=box.lower,
         upper=box.upper,
-        multipliers=multipliers,
+        multipliers={} if outcome.multipliers is None else {"controls": outcome.multipliers},
         log=tuple(monitor.log),
         iterates=tuple(monitor.iterates),
         seconds=monitor.seconds,

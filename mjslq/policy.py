@@ -48,14 +48,25 @@ class Policy:
         N = len(X) - 1
         U = as_array("U", U, (N, "nu"))
         space = StateSpace.plain(X.shape[1]) if self.space is None else self.space
-        dt = np.array(np.broadcast_to(as_array("dt", self.dt), (N,)))
-        filled = {"X": X, "U": U, "dt": dt}
+        dt = as_array("dt", self.dt)
+        if dt.shape not in ((), (N,)):
+            raise ValueError(f"dt must be a number or one per step ({N},), got shape {dt.shape}")
+        if (dt <= 0.0).any():
+            raise ValueError(f"dt must be positive, got {dt.min()}")
+        filled = {"X": X, "U": U, "dt": np.array(np.broadcast_to(dt, (N,)))}
         if self.K is not None:
             filled["K"] = as_array("K", self.K, (N, U.shape[1], space.ndx))
         for name, end in (("lower", -np.inf), ("upper", np.inf)):
             limit = getattr(self, name)
-            limit = end if limit is None else as_array(name, limit, finite=False)
+            limit = np.array(end) if limit is None else as_array(name, limit, finite=False)
+            if limit.shape not in ((), U.shape[1:], U.shape):
+                raise ValueError(
+                    f"{name} must be a number, one a control {U.shape[1:]} or one a step and control {U.shape}, "
+                    f"got shape {limit.shape}"
+                )
             filled[name] = np.array(np.broadcast_to(limit, U.shape))
+        if not (filled["lower"] <= filled["upper"]).all():
+            raise ValueError("lower must not lie above upper, and neither may be NaN")
         for name, array in filled.items():
             object.__setattr__(self, name, frozen(array))
         object.__setattr__(self, "space", space)

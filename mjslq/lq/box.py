@@ -11,22 +11,27 @@ Notation
                    u = upper and g < 0
     [.]            clipping to the limits
 
-Iteration, from U = [0]
------------------------
-    1  W <- W(U)
-    2  d <- minimizer of m(U + d) over the controls outside of W, those of W held: one sweep
-    3  U + d within the limits: it is the minimizer if the gradient there still pushes all of W outward
-       else U <- [U + t d],  t = 1, 1/2, 1/4, ... until m falls
+Iterations, from U = [0] and W(U)
+---------------------------------
+    G1  V <- minimizer of m over the controls outside of W, those of W held at their limits: one sweep
+    G2  V is the minimizer if it lies within the limits and g(V) pushes all of W outward; else
+        W <- W without the controls that g(V) pulls inward, with those that V has beyond a limit
 
-This is Newton's method on the free controls. Where the right working set is found, which takes two to five sweeps
-when many controls are limited, step 2 gives the minimizer itself. From an outer iteration to the next the working set
-is warm: the controls of an iterate lie exactly on their limits, and step 1 finds them there. Where no limit is in
-reach the first sweep is the plain one, bit for bit.
+    P1  W <- W(U)
+    P2  d <- minimizer of m(U + d) over the controls outside of W, those of W held: one sweep
+    P3  U + d within the limits: it is the minimizer if the gradient there still pushes all of W outward;
+        else U <- [U + t d],  t = 1, 1/2, 1/4, ... until m falls
+
+G guesses the working set from the minimizer's signs (a primal-dual active set); it takes two to five sweeps, but may
+cycle. P takes its place after `GUESSES` sweeps: Newton's method on the free controls, which descends. From an outer
+iteration to the next the working set is warm: the controls of an iterate lie exactly on their limits, where W(U) finds
+them. Where no limit is in reach the first sweep is the plain one, bit for bit.
 
 The feedback gains are those of the last sweep: zero for controls that are held, the optimal ones among the others.
 
-Source: Bertsekas 1982, "Projected Newton methods for optimization problems with simple constraints"; Tassa, Mansard
-and Todorov 2014, "Control-limited differential dynamic programming", for the gains of the free controls.
+Sources: Bertsekas 1982, "Projected Newton methods for optimization problems with simple constraints"; Hintermueller,
+Ito and Kunisch 2002, "The primal-dual active set strategy as a semismooth Newton method"; Tassa, Mansard and Todorov
+2014, "Control-limited differential dynamic programming", for the gains of the free controls.
 """
 
 from __future__ import annotations
@@ -38,12 +43,14 @@ from numba import njit
 
 from mjslq.lq.adjoint import adjoint
 from mjslq.lq.dense import add_product
-from mjslq.lq.problem import LQProblem, LQSolution, Mask
+from mjslq.lq.problem import LQProblem, LQSolution, Mask, NotPositiveDefinite
 from mjslq.lq.riccati import solve
 from mjslq.validation import Array
 
-ROUNDS = 50
+ROUNDS = 60
 """Sweeps after which the best controls found have to do."""
+GUESSES = 12
+"""Sweeps after which guessing gives way to steps that descend."""
 C1 = 1e-4
 """Share of the decrease promised by the slope that a step must bring."""
 SMALLEST = 1e-12
@@ -73,6 +80,11 @@ class Box(NamedTuple):
         """Whether all of `U` (N, nu) is within the limits, but for rounding."""
         slack = ROUNDING * np.abs(U)
         return bool((self.lower - slack <= U).all() and (self.upper + slack >= U).all())
+
+    def beyond(self, U: Array) -> Mask:
+        """Controls of `U` (N, nu) outside of the limits by more than rounding. Shape (N, nu)."""
+        slack = ROUNDING * np.abs(U)
+        return (self.lower - slack > U) | (self.upper + slack < U)
 
     def about(self, U: Array) -> Box:
         """Limits of the change from `U`."""
@@ -122,25 +134,60 @@ def solve_in_box(
         gradient = _gradient(problem, X, U)
         held = box.pushed(U, gradient)
     lq = solve(problem, control_shift, state_shift, held)
-    inside = box.contains(lq.U)
-    if inside and not held.any():
+    if not held.any() and box.contains(lq.U):
         return BoxSolution(lq, held, 1, True)
     shifted = _shifted(problem, control_shift, state_shift)
-    gradient = _gradient(shifted, X, U)
-    for sweeps in range(1, rounds + 1):
+    guessed = _by_guesses(shifted, box, held, lq, min(GUESSES, rounds - 1))
+    if guessed.converged or guessed.sweeps >= rounds:
+        return guessed
+    return _by_steps(shifted, box, X, U, held, lq, guessed.sweeps, rounds)
+
+
+def _by_guesses(problem: LQProblem, box: Box, held: Mask, lq: LQSolution, most: int) -> BoxSolution:
+    """Iteration G at the head of this file, from the minimizer `lq` of one sweep with controls `held`."""
+    sweeps = 1
+    while True:
+        U = box.clip(lq.U)
+        inside = box.contains(lq.U)
+        gradient = _gradient(problem, problem.states(lq.U), lq.U) if held.any() else U
+        wanted = (held & ~_released(held, box.pushed(U, gradient), gradient)) | box.beyond(lq.U)
+        if inside and (wanted == held).all():
+            return BoxSolution(lq._replace(U=U), held, sweeps, True)
+        if sweeps > most:
+            return BoxSolution(lq, held, sweeps, False)
+        held, sweeps = wanted, sweeps + 1
+        X = problem.states(U)
+        try:
+            lq = _moved(solve(problem.about(X, U), held=held), X, U)
+        except NotPositiveDefinite:
+            return BoxSolution(lq, held, sweeps, False)
+
+
+def _by_steps(
+    problem: LQProblem, box: Box, X: Array, U: Array, held: Mask, lq: LQSolution, sweeps: int, rounds: int
+) -> BoxSolution:
+    """Iteration P at the head of this file, from controls `U` and the minimizer `lq` with controls `held`."""
+    gradient, inside = _gradient(problem, X, U), box.contains(lq.U)
+    while True:
         if inside:
             X, U = lq.X, box.clip(lq.U)
         else:
-            X, U = _clipped_step(shifted, box, X, U, lq, gradient)
-        gradient = _gradient(shifted, X, U)
+            X, U = _clipped_step(problem, box, X, U, lq, gradient)
+        gradient = _gradient(problem, X, U)
         pushed = box.pushed(U, gradient)
-        released = held & ~pushed & (np.abs(gradient) > ROUNDING * np.abs(gradient).max(initial=0.0))
-        if inside and not released.any():
+        if inside and not _released(held, pushed, gradient).any():
             return BoxSolution(lq._replace(U=U), held, sweeps, True)
-        held = pushed
-        lq = _moved(solve(shifted.about(X, U), held=held), X, U)
+        if sweeps >= rounds:
+            k = U + np.einsum("nij,nj->ni", lq.K, X[:-1])
+            return BoxSolution(lq._replace(X=X, U=U, k=k), held, sweeps, False)
+        held, sweeps = pushed, sweeps + 1
+        lq = _moved(solve(problem.about(X, U), held=held), X, U)
         inside = box.contains(lq.U)
-    return BoxSolution(lq._replace(X=X, U=U, k=U + np.einsum("nij,nj->ni", lq.K, X[:-1])), held, rounds, False)
+
+
+def _released(held: Mask, pushed: Mask, gradient: Array) -> Mask:
+    """Controls that are held, but which the gradient pulls inward by more than rounding. Shape (N, nu)."""
+    return held & ~pushed & (np.abs(gradient) > ROUNDING * np.abs(gradient).max(initial=0.0))
 
 
 def _shifted(problem: LQProblem, control_shift: float | Array, state_shift: float) -> LQProblem:

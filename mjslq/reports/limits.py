@@ -64,7 +64,7 @@ def reached(result: Result, U: Array) -> NDArray[np.int8]:
     lower, upper = result.lower, result.upper
     whole, one = upper - lower, np.where(np.isfinite(upper), upper, np.where(np.isfinite(lower), lower, 0.0))
     room = NEAR * np.where(np.isfinite(whole), whole, np.abs(one))
-    above, below = np.isfinite(upper) & (U >= upper - room), np.isfinite(lower) & (U <= lower + room)
+    above, below = np.isfinite(upper) & (upper - room <= U), np.isfinite(lower) & (lower + room >= U)
     return above.astype(np.int8) - below.astype(np.int8)
 
 

@@ -1,7 +1,8 @@
 """Ctrl-C during a solve: the first one stops it, further ones wait until the best iterate is safe.
 
-The first Ctrl-C raises KeyboardInterrupt wherever Python stands. Those that follow, while the result is put together,
-are only counted. Should whatever runs swallow the first one, the loop sees at its next turn that it is to stop.
+The first Ctrl-C raises KeyboardInterrupt wherever Python stands. Those that follow, and any while the result is put
+together, are only counted. Should whatever runs swallow the first one, the loop sees at its next turn that it is to
+stop.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ class Interrupts:
     def __init__(self) -> None:
         self.count = 0
         """How often Ctrl-C was pressed."""
+        self._held = False
         self._before: Any = None
 
     def __enter__(self) -> Interrupts:
@@ -35,7 +37,11 @@ class Interrupts:
         if self._before is not None:
             signal.signal(signal.SIGINT, self._before)
 
+    def hold(self) -> None:
+        """From now on only count: a result is being put together."""
+        self._held = True
+
     def _on_interrupt(self, number: int, frame: FrameType | None) -> None:
         self.count += 1
-        if self.count == 1:
+        if self.count == 1 and not self._held:
             raise KeyboardInterrupt

@@ -40,6 +40,10 @@ class Outcome:
     """Feedback gains at `iterate`; None where the method has none. Shape (N, nu, ndx)."""
     remark: str = ""
     """What the status alone does not tell: the test that fired, for one."""
+    gradient_norm: float = np.inf
+    """Of the projected gradient at `iterate`; infinite where derivatives fail."""
+    multipliers: Array | None = None
+    """Of the limits of the controls; None where there are none. Shape (N, nu)."""
     error: str = ""
     """Traceback of the error that ended the solve."""
 
@@ -55,11 +59,13 @@ def descend(start: Iterate, method: Method, stopping: Stopping, monitor: Monitor
         return outcome
     try:
         _descend(outcome, method, merit, stopping, monitor, interrupts)
+        interrupts.hold()
     except KeyboardInterrupt:
-        outcome.status = Status.INTERRUPTED
+        outcome.status = outcome.status if outcome.status is Status.CONVERGED else Status.INTERRUPTED
     except Exception as error:  # whatever a callback, a cost or MuJoCo raises: the best iterate is not to be lost
         outcome.status, outcome.error = Status.FAILED, traceback.format_exc()
         outcome.remark = f"{type(error).__name__}: {' '.join(str(error).split())}."
+    interrupts.hold()
     _finish(outcome, method)
     outcome.remark = " ".join(part for part in (outcome.remark, method.remark()) if part)
     return outcome
@@ -144,9 +150,16 @@ def _entry(monitor: Monitor, merit: Merit, here: Iterate, ahead: Direction, step
 
 
 def _finish(outcome: Outcome, method: Method) -> None:
-    """Roll out a guess of the states that was left open, and find the gains that belong to the last iterate."""
+    """Roll out a guess of the states that was left open, and find what belongs to the last iterate."""
     if outcome.iterate.gaps is not None:
         outcome.iterate = rolled_out(outcome.iterate, outcome.gains)
+    here = outcome.iterate
+    try:
+        outcome.gradient_norm = here.gradient_norm
+        if here.problem.box.bounded and np.isfinite(here.gradient_norm):
+            outcome.multipliers = here.projected_gradient - here.gradient
+    except Exception:  # derivatives that fail here have ended the solve with a message already
+        return
     if outcome.status in (Status.INTERRUPTED, Status.STOPPED, Status.FAILED):  # the gains are those of the one before
         try:
             outcome.gains = method.direction(outcome.iterate).K
