@@ -1,7 +1,8 @@
 """Where a search starts: what a user hands in as a guess, and starts made from the problem itself.
 
     hold     u_n = u_hold: the controls under which the initial state changes least over a step
-    servo    u(x) = [ u_hold - K (x - x_target) ]: a computed-torque servo, which pulls the robot towards a state
+    servo    u(x) = [ u_hold - K (x - x_target) ]: a computed-torque servo, which pulls the robot towards a state;
+             u_hold and K are those of the target
 
 Both linearize one step, x_next = f(x, u_hold) + B (u - u_hold), so that they serve every engine, floating bases and
 contacts included: what the controls cannot move they leave alone.
@@ -93,10 +94,10 @@ def servo(
     goal = np.asarray(problem.x0) if target is None else dynamics.checked_start(target)
     stiffness = positive("stiffness", stiffness)
     damping = 2.0 * np.sqrt(stiffness) if damping is None else positive("damping", damping)
-    u = hold(problem)
+    u = hold(problem, goal)
     h = float(np.ravel(dynamics.dt)[0])
     positions, velocities = _halves(problem)
-    B = _one_step(problem, np.asarray(problem.x0), u[0])[1]
+    B = _one_step(problem, goal, u[0])[1]
     K = np.zeros((dynamics.nu, dynamics.ndx))
     inverse = h * np.linalg.pinv(B[velocities], rcond=1e-9)
     K[:, positions], K[:, velocities] = stiffness * inverse, damping * inverse

@@ -41,6 +41,7 @@ def test_engines_pose_the_same_problem():
     U = first.U0 + np.sin(np.arange(200) / 30.0)[:, None] * 0.05
     one, other = first.rollout(U), second.rollout(U)
     assert first.dynamics.state_names == second.dynamics.state_names
+    assert not first.box.bounded and not second.box.bounded
     np.testing.assert_allclose(one.X[:20], other.X[:20], atol=1e-7)
     np.testing.assert_allclose(one.Y[:20], other.Y[:20], atol=1e-8)
 

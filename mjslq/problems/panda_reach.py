@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mjslq.bounds import Bounds
 from mjslq.costs import Control, Sensor, State
 from mjslq.dynamics.dynamics import Dynamics
 from mjslq.problem import Problem
@@ -62,6 +63,7 @@ def panda_reach(
             Sensor(FRAME, target, 1.0),
             Sensor(FRAME, target, positive("reach", reach), when="terminal"),
         ],
+        bounds=Bounds(u=None),
         name="panda_reach",
         U0=hold,
         # Full and half steps lead to this minimum; the steps that a parabola suggests lead to one 49 % dearer.
