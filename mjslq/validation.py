@@ -108,6 +108,14 @@ def positive(name: str, value: float) -> float:
     return number
 
 
+def nonnegative(name: str, value: float) -> float:
+    """Return `value` as a finite float of at least zero."""
+    number = finite(name, value)
+    if number < 0.0:
+        raise ValueError(f"{name} must be at least 0, got {value}")
+    return number
+
+
 def finite(name: str, value: float) -> float:
     """Return `value` as a finite float."""
     array = as_array(name, value)

@@ -138,7 +138,7 @@ def solve_in_box(
         return BoxSolution(lq, held, 1, True)
     shifted = _shifted(problem, control_shift, state_shift)
     guessed = _by_guesses(shifted, box, held, lq, min(GUESSES, rounds - 1))
-    if guessed.converged or guessed.sweeps >= rounds:
+    if guessed.converged:
         return guessed
     return _by_steps(shifted, box, X, U, held, lq, guessed.sweeps, rounds)
 

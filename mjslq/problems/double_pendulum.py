@@ -16,7 +16,8 @@ def double_pendulum(
 ) -> Problem:
     """Swing up within `duration` [s], torques within `shoulder` and `elbow` [Nm] (0: none).
 
-    `effort` weighs the torques [1/(Nm)^2 s].
+    `effort` weighs the torques [1/(Nm)^2 s], `running` the distance from upright on the way, relative to a
+    hundredth of its weight at the end [1/s].
     """
     limits = {"shoulder": shoulder, "elbow": elbow}
     return swing_up("double_pendulum", limits, [100.0, 100.0, 10.0, 10.0], horizon, duration, effort, running)

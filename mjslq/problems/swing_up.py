@@ -14,7 +14,7 @@ from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.problem import Problem
 from mjslq.problems.assets import load_asset
 from mjslq.trajectory import Trajectory
-from mjslq.validation import count, positive
+from mjslq.validation import count, nonnegative, positive
 
 
 def swing_up(
@@ -42,7 +42,7 @@ def swing_up(
         x0=dynamics.keyframe("hanging"),
         costs=[
             Control(positive("effort", effort)),
-            State(running * np.array(weights) / 100.0, upright),
+            State(nonnegative("running", running) * np.array(weights) / 100.0, upright),
             State(weights, upright, when="terminal"),
         ],
         name=name,

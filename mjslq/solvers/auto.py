@@ -16,13 +16,16 @@ Multipliers
 
 The natural scale of a multiplier is the one with which it weighs as much as the whole model along the direction,
 -g'd / |.|^2. A step of at most 1/4 raises mu_x to that scale at once: the states then keep to where the model holds,
-while the controls may do what it takes. Limits among which the minimizer is not found in a few sweeps (almost all controls
-at a limit) raise mu_u, and so does a model without a minimizer. Full steps divide both by 5; below a thousandth of the
-scale they are zero. Where no step descends, mu_x grows by 2, 4, 8, ... until one does.
+while the controls may do what it takes. Limits among which the minimizer is not found in a few sweeps (almost all
+controls at a limit) raise mu_u, and so does a model without a minimizer. Full steps divide both by 5; below a
+thousandth of the scale they are zero. Where no step descends, mu_x grows by 2, 4, 8, ... until one does.
 
-Second derivatives are taken in when full steps shrink the expected decrease by less than `SLOW` twice in a row, or steps
-have to be shortened as often: then Gauss-Newton converges slowly, or points the wrong way. A direction that has a
-multiplier never counts as converged.
+Steps are halved until one descends, under the sweep's feedback; full ones that bring more than the model expects are
+doubled as long as that pays.
+
+Second derivatives are taken in when full steps shrink the expected decrease by less than `SLOW` twice in a row, or
+steps have to be shortened as often: then Gauss-Newton converges slowly, or points the wrong way. A direction that has
+a multiplier never counts as converged.
 """
 
 from __future__ import annotations
@@ -50,6 +53,8 @@ LEAST_THETA = 0.01
 SWEEPS = 15
 """Sweeps within which a model's minimizer among the limits has to be found."""
 SHORT, SHRINK, GROW, NEGLIGIBLE = 0.25, 5.0, 4.0, 1e-3
+MORE, LONGEST = 1.1, 64.0
+"""Decrease relative to the expected one from which on longer steps are tried, and the longest of these."""
 SMALLEST = 1e-3
 """Step below which the line search gives up."""
 RAISES = 40
@@ -133,7 +138,8 @@ class Auto(Method):
             return Step(rescued.iterate, rescued.alpha, trial.evaluations + rescued.rollouts)
         self._costates = direction.costates
         self._adapt(found.alpha, self._latest)
-        return Step(found.iterate, found.alpha, trial.evaluations)
+        alpha = _expanded(trial, found.alpha)
+        return Step(trial(alpha), alpha, trial.evaluations)
 
     def remark(self) -> str:
         """What the method chose."""
@@ -211,6 +217,15 @@ class Auto(Method):
             return _solve(here, here.gauss_newton, 1.0, self.mu).found.lq.costates
         except NotPositiveDefinite:
             return here.costates
+
+
+def _expanded(trial: Trial, alpha: float) -> float:
+    """A step that has brought more than the model expects is doubled as long as the merit falls."""
+    if alpha < 1.0 or trial.cost(alpha) > trial.start + MORE * trial.expected or trial.in_roundoff:
+        return alpha
+    while alpha < LONGEST and trial.cost(2.0 * alpha) < trial.cost(alpha):
+        alpha *= 2.0
+    return alpha
 
 
 def _solve(here: Iterate, model: LQProblem, theta: float, mu: Multipliers) -> Candidate:

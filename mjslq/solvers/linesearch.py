@@ -84,6 +84,11 @@ class Trial:
         """Rollouts that the search asked for; what threads tried ahead of need does not count."""
         return len(self._asked)
 
+    @property
+    def in_roundoff(self) -> bool:
+        """Whether the decrease to hope for drowns in the rounding of the merit."""
+        return in_roundoff(self.slope, self.start)
+
     def cost(self, alpha: float) -> float:
         """phi(alpha); infinite where the rollout diverges."""
         return self._merit.value(self(alpha))
@@ -114,7 +119,7 @@ class Found(NamedTuple):
 
 def search(name: str, trial: Trial) -> Found | None:
     """Find a step by the search called `name`; None when none down to `SMALLEST` will do."""
-    alpha = by_gradient_norm(trial) if in_roundoff(trial.slope, trial.start) else None
+    alpha = by_gradient_norm(trial) if trial.in_roundoff else None
     if alpha is None:
         alpha = SEARCHES[name](trial)
     return None if alpha is None else Found(float(alpha), trial(alpha))
