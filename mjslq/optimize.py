@@ -87,7 +87,7 @@ def methods() -> dict[str, MethodInfo]:
 
 def solve(
     problem: Problem,
-    method: str = "slq",
+    method: str = "auto",
     *,
     guess: Any = None,
     U0: ArrayLike | None = None,

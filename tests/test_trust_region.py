@@ -120,6 +120,16 @@ def test_table_1():
     assert [entry.iteration for entry in result.log] == [0, 1, 1, 2, 2, 3, 4, 5, 6, 7]
 
 
+def test_rejected_trials_are_no_iterations_but_use_them_up():
+    problem = problems.get("van_der_pol")
+    result = solve(problem, "trust-region", max_iterations=4)
+    assert result.status is Status.MAX_ITERATIONS
+    assert [entry.outcome for entry in result.log] == ["accepted", "rejected", "accepted", "rejected", "final"]
+    assert result.iterations == 2 and all(entry.alpha == 0.0 for entry in result.log if entry.outcome != "accepted")
+    refused = result.log[1]
+    assert refused.ratio < 0.25 and refused.cost == result.log[2].cost and refused.iteration == 1
+
+
 def test_van_der_pol_is_the_problem_of_the_paper():
     """The cost is the fourth-order quadrature of the paper's integral along the paper's equations."""
     problem = problems.get("van_der_pol")

@@ -169,6 +169,7 @@ def _by_steps(
     """Iteration P at the head of this file, from controls `U` and the minimizer `lq` with controls `held`."""
     gradient, inside = _gradient(problem, X, U), box.contains(lq.U)
     while True:
+        before = U
         if inside:
             X, U = lq.X, box.clip(lq.U)
         else:
@@ -177,7 +178,7 @@ def _by_steps(
         pushed = box.pushed(U, gradient)
         if inside and not _released(held, pushed, gradient).any():
             return BoxSolution(lq._replace(U=U), held, sweeps, True)
-        if sweeps >= rounds:
+        if sweeps >= rounds or (U == before).all():
             k = U + np.einsum("nij,nj->ni", lq.K, X[:-1])
             return BoxSolution(lq._replace(X=X, U=U, k=k), held, sweeps, False)
         held, sweeps = pushed, sweeps + 1

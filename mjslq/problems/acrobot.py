@@ -7,7 +7,7 @@ from mjslq.problems.swing_up import swing_up
 
 
 def acrobot(
-    limit: float = 10.0, horizon: int = 250, duration: float = 5.0, effort: float = 0.01, running: float = 0.0
+    limit: float = 10.0, horizon: int = 250, duration: float = 5.0, effort: float = 0.1, running: float = 0.0
 ) -> Problem:
     """Swing up within `duration` [s], the torque within `limit` [Nm] (0: none).
 

@@ -7,11 +7,11 @@ from mjslq.problems.swing_up import swing_up
 
 
 def double_pendulum(
-    shoulder: float = 6.0,
-    elbow: float = 3.0,
+    shoulder: float = 8.0,
+    elbow: float = 4.0,
     horizon: int = 150,
     duration: float = 3.0,
-    effort: float = 0.01,
+    effort: float = 0.1,
     running: float = 1.0,
 ) -> Problem:
     """Swing up within `duration` [s], torques within `shoulder` and `elbow` [Nm] (0: none).

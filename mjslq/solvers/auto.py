@@ -59,6 +59,8 @@ SMALLEST = 1e-3
 """Step below which the line search gives up."""
 RAISES = 40
 """Times that mu_u is raised for one direction, at most."""
+LEAST_MU = 1e-6
+"""The first mu_u where its natural scale does not tell, relative to the control weights."""
 RESCUES = 14
 """Times that mu_x is raised where no step descends, at most."""
 
@@ -112,8 +114,8 @@ class Auto(Method):
                     break
                 least = latest.natural.control * (0.1 if raised == 0 else 1.0)
             except NotPositiveDefinite:
-                least = 1e-6
-            self.mu = self.mu._replace(control=max(10.0 * self.mu.control, least))
+                least = 0.0
+            self.mu = self.mu._replace(control=max(10.0 * self.mu.control, least, LEAST_MU))
         else:
             raise NotPositiveDefinite(0)
         self._latest, self.theta = latest, latest.theta

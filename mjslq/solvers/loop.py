@@ -63,8 +63,7 @@ def descend(start: Iterate, method: Method, stopping: Stopping, monitor: Monitor
     except KeyboardInterrupt:
         outcome.status = outcome.status if outcome.status is Status.CONVERGED else Status.INTERRUPTED
     except Exception as error:  # whatever a callback, a cost or MuJoCo raises: the best iterate is not to be lost
-        outcome.status, outcome.error = Status.FAILED, traceback.format_exc()
-        outcome.remark = f"{type(error).__name__}: {' '.join(str(error).split())}."
+        _fail(outcome, error)
     interrupts.hold()
     _finish(outcome, method)
     outcome.remark = " ".join(part for part in (outcome.remark, method.remark()) if part)
@@ -149,16 +148,26 @@ def _entry(monitor: Monitor, merit: Merit, here: Iterate, ahead: Direction, step
     )
 
 
+def _fail(outcome: Outcome, error: Exception) -> None:
+    """Note what ended the solve: the first error that there was."""
+    if not outcome.error:
+        outcome.status, outcome.error = Status.FAILED, "".join(traceback.format_exception(error))
+        outcome.remark = f"{type(error).__name__}: {' '.join(str(error).split())}."
+
+
 def _finish(outcome: Outcome, method: Method) -> None:
     """Roll out a guess of the states that was left open, and find what belongs to the last iterate."""
-    if outcome.iterate.gaps is not None:
-        outcome.iterate = rolled_out(outcome.iterate, outcome.gains)
-    here = outcome.iterate
     try:
+        if outcome.iterate.ends is not None:
+            outcome.iterate = rolled_out(outcome.iterate, outcome.gains)
+        here = outcome.iterate
         outcome.gradient_norm = here.gradient_norm
         if here.problem.box.bounded and np.isfinite(here.gradient_norm):
             outcome.multipliers = here.projected_gradient - here.gradient
-    except Exception:  # derivatives that fail here have ended the solve with a message already
+    except Exception as error:  # as above; most often the same one again
+        _fail(outcome, error)
+        if outcome.iterate.ends is not None:
+            outcome.remark += " The gaps between the steps are not closed."
         return
     if outcome.status in (Status.INTERRUPTED, Status.STOPPED, Status.FAILED):  # the gains are those of the one before
         try:
