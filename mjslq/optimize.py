@@ -157,8 +157,8 @@ def solve(
         raise ValueError(f"problem must be a mjslq.Problem, got {type(problem).__name__}")
     method = ALIASES.get(method, method)
     chosen = METHODS[choose("method", method, [*METHODS, *ALIASES])]
-    asked = {"tol": tol, "max_iterations": max_iterations, "deadline": deadline} | options
-    asked = {name: value for name, value in asked.items() if value is not None}
+    stops = {"tol": tol, "max_iterations": max_iterations, "deadline": deadline}
+    asked = {name: value for name, value in stops.items() if value is not None} | options
     settings = _settings(problem, method, preset, asked)
     stopping = _stopping(settings)
     record = chosen.record(**settings)

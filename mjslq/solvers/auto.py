@@ -18,7 +18,9 @@ The natural scale of a multiplier is the one with which it weighs as much as the
 -g'd / |.|^2. A step of at most 1/4 raises mu_x to that scale at once: the states then keep to where the model holds,
 while the controls may do what it takes. Limits among which the minimizer is not found in a few sweeps (almost all
 controls at a limit) raise mu_u, and so does a model without a minimizer. Full steps divide both by 5; below a
-thousandth of the scale they are zero. Where no step descends, mu_x grows by 2, 4, 8, ... until one does.
+thousandth of the scale they are zero. Where no step descends, mu_x grows by 2, 4, 8, ... until one does. When damped
+steps creep, `PATIENCE_TO_CREEP` in a row with hardly any decrease, mu_x and mu_u change parts: at a kink the controls
+have to be kept, not the states.
 
 Steps are halved until one descends, under the sweep's feedback; full ones that bring more than the model expects are
 doubled as long as that pays.
@@ -59,6 +61,8 @@ SMALLEST = 1e-3
 """Step below which the line search gives up."""
 RAISES = 40
 """Times that mu_u is raised for one direction, at most."""
+CREEP, PATIENCE_TO_CREEP = 1e-4, 8
+"""Decrease, relative to the cost, below which a step creeps, and how many of them in a row are too many."""
 LEAST_MU = 1e-6
 """The first mu_u where its natural scale does not tell, relative to the control weights."""
 RESCUES = 14
@@ -70,6 +74,10 @@ class Multipliers(NamedTuple):
 
     state: float = 0.0
     control: float = 0.0
+
+    def at_least(self, kind: str, least: float) -> Multipliers:
+        """The same with one of them raised to `least`."""
+        return self._replace(**{kind: max(getattr(self, kind), least)})
 
 
 class Candidate(NamedTuple):
@@ -96,6 +104,8 @@ class Auto(Method):
     def __init__(self, options: AutoOptions) -> None:
         self.options = options
         self.mu, self.theta = Multipliers(), 1.0
+        self._kind = "state"  # which multiplier short steps raise
+        self._creeping = 0
         self._second_from: int | None = 0 if options.curvature == "always" else None
         self._slow, self._last, self._iterations, self._damped = 0, np.inf, 0, 0
         self._costates: Array | None = None
@@ -115,7 +125,7 @@ class Auto(Method):
                 least = latest.natural.control * (0.1 if raised == 0 else 1.0)
             except NotPositiveDefinite:
                 least = 0.0
-            self.mu = self.mu._replace(control=max(10.0 * self.mu.control, least, LEAST_MU))
+            self.mu = self.mu.at_least("control", max(10.0 * self.mu.control, least, LEAST_MU))
         else:
             raise NotPositiveDefinite(0)
         self._latest, self.theta = latest, latest.theta
@@ -141,6 +151,7 @@ class Auto(Method):
         self._costates = direction.costates
         self._adapt(found.alpha, self._latest)
         alpha = _expanded(trial, found.alpha)
+        self._watch(trial.start - trial.cost(alpha), trial.start)
         return Step(trial(alpha), alpha, trial.evaluations)
 
     def remark(self) -> str:
@@ -168,18 +179,12 @@ class Auto(Method):
 
     def _adapt(self, alpha: float, latest: Candidate) -> None:
         """Change the multipliers after a step, and decide on second derivatives."""
-        state, control = self.mu
+        factor = GROW if alpha <= SHORT else 1.0 / SHRINK if alpha == 1.0 else 0.5
+        mu = Multipliers(factor * self.mu.state, factor * self.mu.control)
         if alpha <= SHORT:
-            state, control = max(GROW * state, latest.natural.state), GROW * control
-        else:
-            shrink = SHRINK if alpha == 1.0 else 2.0
-            state, control = state / shrink, control / shrink
-        self.mu = Multipliers(
-            *(
-                mu if mu > NEGLIGIBLE * scale else 0.0
-                for mu, scale in zip((state, control), latest.natural, strict=True)
-            )
-        )
+            mu = mu.at_least(self._kind, getattr(latest.natural, self._kind))
+        kept = [m if m > NEGLIGIBLE * scale else 0.0 for m, scale in zip(mu, latest.natural, strict=True)]
+        self.mu = Multipliers(*kept)
         if self._second_from is not None or self.options.curvature == "never":
             return
         poor = alpha < 1.0 or (not any(latest.mu) and latest.decrease > SLOW * self._last)
@@ -191,14 +196,15 @@ class Auto(Method):
         """Full steps with a growing multiplier, where the line search found none."""
         assert self._latest is not None
         scale, factor, spent = self._latest.natural, 2.0, 0
-        mu = self.mu._replace(state=max(self.mu.state, scale.state))
+        kind = self._kind
+        mu = self.mu.at_least(kind, getattr(scale, kind))
         for _ in range(RESCUES):
             try:
                 latest = self._minimize(here, mu)
             except NotPositiveDefinite:
                 latest = None
             if latest is None or not latest.fine:
-                mu = mu._replace(control=max(4.0 * mu.control, 0.1 * scale.control))
+                mu = mu.at_least("control", max(4.0 * mu.control, 0.1 * scale.control))
             else:
                 ahead = _direction(latest)
                 slope = merit.slope(here, ahead)
@@ -207,9 +213,17 @@ class Auto(Method):
                 there, spent = candidates(here, ahead, [1.0], "closed-loop")[0], spent + 1
                 if merit.value(there) < merit.value(here) + C1 * slope:
                     self.mu, self.theta, self._costates, self._slow = mu, latest.theta, ahead.costates, self._slow + 1
+                    self._watch(merit.value(here) - merit.value(there), merit.value(here))
                     return Step(there, 1.0, spent)
-            mu, factor = mu._replace(state=factor * mu.state), 2.0 * factor
+            mu, factor = mu.at_least(kind, factor * getattr(mu, kind)), 2.0 * factor
         return Step(None, rollouts=spent)
+
+    def _watch(self, decrease: float, start: float) -> None:
+        """Let the multipliers change parts when damped steps creep."""
+        self._creeping = self._creeping + 1 if any(self.mu) and decrease < CREEP * abs(start) else 0
+        if self._creeping >= PATIENCE_TO_CREEP:
+            self._kind, self._creeping = ("control" if self._kind == "state" else "state"), 0
+            self.mu = Multipliers()
 
     def _costates_for(self, here: Iterate) -> Array:
         """Costates of the sweep before; at the start those of a Gauss-Newton sweep."""
