@@ -6,6 +6,7 @@ Notation
     u_n   control over step n, n = 0 ... N-1   U  Shape (N, nu)
     y_n   output (sensor readings) at knot n   Y  Shape (N + 1, ny)
     h_n   length of step n [s]                 dt Shape (N,)
+    k     simulator steps in step n, through which u_n is held; the states between knots have a field of their own
 """
 
 from __future__ import annotations
@@ -38,6 +39,9 @@ class Trajectory:
     """Step lengths: a number, or one per step; kept as an array. Shape (N,). [s]"""
     diverged_at: int | None = None
     """First knot at which the rollout was not finite or the engine warned; None when all is well."""
+    substates: Array | None = None
+    """States between the knots, at the simulator's own steps: entry n has those of step n. Shape (N, k - 1, nx).
+    None when steps are single ones, or the states between are not known; then an engine simulates them anew."""
 
     def __post_init__(self) -> None:
         good = None if self.diverged_at is None else int(self.diverged_at)
@@ -54,9 +58,21 @@ class Trajectory:
             raise ValueError(f"dt must be positive, got {dt.min()}")
         for name, array in (("X", X), ("U", U), ("Y", Y), ("dt", np.broadcast_to(dt, (len(U),)))):
             object.__setattr__(self, name, frozen(array))
+        if self.substates is not None:
+            between = as_array("substates", self.substates, (len(U), "k - 1", X.shape[1]), finite=False)
+            as_array("substates", between[: None if good is None else max(good - 1, 0)])
+            object.__setattr__(self, "substates", frozen(between))
 
     @classmethod
-    def unchecked(cls, X: Array, U: Array, Y: Array, dt: float | Array, diverged_at: int | None = None) -> Trajectory:
+    def unchecked(
+        cls,
+        X: Array,
+        U: Array,
+        Y: Array,
+        dt: float | Array,
+        diverged_at: int | None = None,
+        substates: Array | None = None,
+    ) -> Trajectory:
         """Make a trajectory of arrays that an engine has just filled: nothing is checked, and nothing copied.
 
         Shapes and types are those of the fields; `dt` may be a number. Whoever holds one of the arrays must not write
@@ -64,7 +80,8 @@ class Trajectory:
         """
         made = object.__new__(cls)
         fields = {"X": frozen(X), "U": frozen(U), "Y": frozen(Y), "dt": np.broadcast_to(dt, (len(U),))}
-        made.__dict__.update(fields, diverged_at=diverged_at)
+        between = None if substates is None else frozen(substates)
+        made.__dict__.update(fields, diverged_at=diverged_at, substates=between)
         return made
 
     @property

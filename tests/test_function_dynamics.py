@@ -273,6 +273,60 @@ def test_outputs_are_read_along_the_rollout_and_differentiated(jacobian, compile
     assert dynamics.check_derivatives(trajectory).worst_error < 1e-8
 
 
+def swing_energy(x, u, t, p):
+    out = np.empty(2, dtype=x.dtype)
+    out[0] = 0.5 * x[1] * x[1] - p[0] * np.cos(x[0])
+    out[1] = u[0] * x[1] + np.sin(t) * u[1]
+    return out
+
+
+@pytest.mark.parametrize("jacobian", ["complex-step", "finite-difference"])
+@pytest.mark.parametrize("arguments", [2, 3, 4])
+def test_compiled_outputs_are_the_plain_ones(jacobian, arguments, drive):
+    x0, U, dt = drive
+    texts = {
+        2: lambda x, u: x * x[0] + u,
+        3: lambda x, u, t: x * u[0] + t * u,
+        4: swing_energy,
+    }
+    plain, compiled = (
+        FunctionDynamics(compiled_pendulum, 2, 2, dt, parameters=P, outputs=outputs, jacobian=jacobian)
+        for outputs in (texts[arguments], njit(texts[arguments]))
+    )
+    trajectory, same = plain.rollout(x0, U), compiled.rollout(x0, U)
+    np.testing.assert_allclose(same.Y, trajectory.Y, rtol=1e-14, atol=1e-14)
+    np.testing.assert_allclose(compiled.step(x0, U[3], 3)[1], plain.step(x0, U[3], 3)[1], rtol=1e-14)
+    for ours, theirs in zip(compiled.linearize(same), plain.linearize(trajectory), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+    rng = np.random.default_rng(0)
+    costates, weights = rng.normal(size=(31, 2)), rng.normal(size=(31, 2))
+    for ours, theirs in zip(
+        compiled.hessian(same, costates, weights), plain.hessian(trajectory, costates, weights), strict=True
+    ):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "outputs, ny", [(lambda x, u: x[0] * u[0], 1), (lambda x, u: (x[0], u[0]), 2), (lambda x, u: [x[0], x[0]], 2)]
+)
+def test_compiled_outputs_may_be_numbers_or_tuples(outputs, ny):
+    dynamics = FunctionDynamics(njit(lambda x, u: x * u[0]), 1, 1, 0.1, outputs=njit(outputs))
+    trajectory = dynamics.rollout([2.0], np.full((4, 1), 0.3))
+    for n in range(4):
+        np.testing.assert_allclose(
+            trajectory.Y[n], np.atleast_1d(outputs(trajectory.X[n], trajectory.U[n])), rtol=1e-15
+        )
+    assert dynamics.ny == ny and dynamics.check_derivatives(trajectory).worst_error < 1e-9
+
+
+def test_outputs_of_a_rollout_that_blows_up_end_there():
+    for outputs in (lambda x, u: x + u, njit(lambda x, u: x + u)):
+        dynamics = FunctionDynamics(njit(lambda x, u: x * x + u), 1, 1, 1.0, integrator="map", outputs=outputs)
+        trajectory = dynamics.rollout([10.0], np.zeros((9, 1)))
+        n = trajectory.diverged_at
+        assert np.isfinite(trajectory.Y[:n]).all() and np.isnan(trajectory.Y[n:]).all()
+
+
 def test_outputs_may_leave_out_the_time_and_return_a_number():
     dynamics = FunctionDynamics(lambda x, u: u, 1, 1, 0.5, outputs=lambda x, u: x[0] ** 2)
     trajectory = dynamics.rollout([1.0], np.ones((2, 1)))

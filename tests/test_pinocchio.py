@@ -71,6 +71,38 @@ def test_rollout_is_the_plain_step(integrator):
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_steps_apart_from_each_other(integrator):
+    dynamics = solo(integrator)
+    X, U = moving(dynamics).X[::-1].copy(), np.ones((4, dynamics.nu))
+    F, Y = dynamics.step_each(X, U)
+    for n in range(4):
+        x, y = dynamics.step(X[n], U[n])
+        np.testing.assert_allclose(F[n], x, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(Y[n], y, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(Y[4], dynamics.step(X[4], U[0])[1], rtol=0, atol=1e-13)
+    U[2] = 1e30
+    assert np.isnan(dynamics.step_each(X, U)[0]).all(axis=1).tolist() == [False, False, True, False]
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_single_joint(tmp_path, integrator):
+    """Pinocchio hands out matrices of one row as vectors."""
+    file = tmp_path / "pendulum.urdf"
+    file.write_text("""<robot name="pendulum"><link name="base"/><link name="pole"><inertial><mass value="1"/>
+      <origin xyz="0 0 .3"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="j" type="continuous"><parent link="base"/><child link="pole"/><axis xyz="0 1 0"/></joint></robot>""")
+    dynamics = mjslq.PinocchioDynamics.from_path(
+        file, 0.01, outputs=("pole", "pole.orientation"), integrator=integrator
+    )
+    assert dynamics.check_derivatives(moving(dynamics)).worst_error < 1e-9
+    model = pin.Model()
+    wheel = model.addJoint(0, pin.JointModelRUBX(), pin.SE3.Identity(), "wheel")
+    model.appendBodyToJoint(wheel, pin.Inertia(1.0, np.array([0.1, 0.0, 0.2]), 0.1 * np.eye(3)), pin.SE3.Identity())
+    turning = mjslq.PinocchioDynamics.from_model(model, 0.01, integrator=integrator)
+    assert turning.check_derivatives(moving(turning)).worst_error < 1e-9
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_feedback_law(integrator):
     dynamics, rng = solo(integrator), np.random.default_rng(1)
     plan = moving(dynamics)

@@ -148,7 +148,7 @@ class Dynamics(ABC):
 
         For engines whose `linearize` reads of a knot only x_n and u_n; others have a way of their own.
         """
-        return self.linearize(Trajectory(X, U, dt=self.dt))
+        return self.linearize(Trajectory.unchecked(X, U, np.zeros((len(X), 0)), self.dt))
 
     def hessian(
         self,

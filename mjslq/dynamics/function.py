@@ -65,7 +65,8 @@ class FunctionDynamics(Dynamics):
         hessian(x, u, t, costate) -> (H_xx (nx, nx), H_ux (nu, nx), H_uu (nu, nu)), the second derivatives of
         costate' x_{n+1}, the *discrete step*; by differences of first derivatives unless given.
     outputs : callable, optional
-        y = outputs(x, u, t), shape (ny,), recorded along rollouts; differentiated as `jacobian` says.
+        y = outputs(x, u), outputs(x, u, t) or outputs(x, u, t, p), shape (ny,), recorded along rollouts; differentiated
+        as `jacobian` says. Plain Python, or compiled with `numba.njit`.
     control_limits : tuple or array, optional
         (lower, upper), each a number or an array (nu,), or both as an array (nu, 2); -inf and inf where there is none.
         What an optimizer keeps to; f itself is called with whatever controls a rollout is given.
@@ -112,6 +113,8 @@ class FunctionDynamics(Dynamics):
         self.dt = np.array(steps) if steps.ndim else float(steps)
         self.integrator = choose("integrator", integrator, _INTEGRATORS)
         self.control_limits = _limits(control_limits, self.nu)
+        if not isinstance(self.dt, float):
+            self._starts = np.cumsum(self.dt) - self.dt
         self.parameters = np.array(as_array("parameters", parameters, ("size",)))
         self._nv = self.nx // 2 if nv is None else count("nv", nv)
         self.nv = self._nv if 2 * self._nv == self.nx else 0
@@ -130,20 +133,22 @@ class FunctionDynamics(Dynamics):
             raise ValueError(f"f must be a function of (x, u), (x, u, t) or (x, u, t, p), got {f!r}")
         self.compiled = isinstance(f, Dispatcher)
         self._f = _with_all_arguments(f, self.compiled)
-        self._outputs = outputs if outputs is None else _with_time(outputs)
         self._scene = scene
         self._probe()
-        self.ny = self._probe_outputs()
+        self._read, self._reads_compiled, self.ny = self._reading(outputs)
         self.state_names = _names("state_names", state_names, "x", self.nx)
         self.control_names = _names("control_names", control_names, "u", self.nu)
         self.output_names = _names("output_names", output_names, "y", self.ny)
 
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
         """One step in plain Python; see `Dynamics.step`."""
-        times, steps = self._grid(n + 1)
-        function = self._f.py_func if isinstance(self._f, Dispatcher) else self._f
-        forward = kernels.next_state(function, self._code, self._nv, x, u, times[n], steps[n], self.parameters)
-        return as_array("next state", forward, finite=False), self._read(x, u, float(times[n]))
+        if isinstance(self.dt, float):
+            t, h = n * self.dt, self.dt
+        else:
+            t, h = float(self._starts[n]), float(self.dt[n])
+        forward = kernels.next_state(_plain(self._f), self._code, self._nv, x, u, t, h, self.parameters)
+        y = _plain(self._read)(x, u, t, self.parameters) if self.ny else np.zeros(0)
+        return as_array("next state", forward, finite=False), y
 
     def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None = None) -> list[Trajectory]:
         """Simulate several times, one after the other; see `Dynamics.rollouts`."""
@@ -232,8 +237,7 @@ class FunctionDynamics(Dynamics):
         """Times at which the steps begin, and their lengths. Shapes (N,), (N,)."""
         if isinstance(self.dt, float):
             return np.arange(N) * np.float64(self.dt), np.full(N, self.dt)
-        ends = np.cumsum(self.dt)
-        return (ends - self.dt)[:N], self.dt[:N]
+        return self._starts[:N], self.dt[:N]
 
     def _arguments(self, N: int) -> tuple[Any, ...]:
         self.steps(N)
@@ -245,45 +249,47 @@ class FunctionDynamics(Dynamics):
         good = N + 1 if bad < 0 else bad
         Y = np.full((N + 1, self.ny), np.nan)
         if self.ny:
-            times = np.append(self._grid(N)[0], self.steps(N).sum())
-            held = np.vstack([U, np.zeros(self.nu)])
-            for n in range(good):
-                Y[n] = self._read(X[n], held[n], times[n])
+            times, held = self._knots(U)
+            with np.errstate(all="ignore"):
+                self._reader(kernels.read_all)(self._read, times, self.parameters, X, held, Y[:good])
         return Trajectory.unchecked(X, U, Y, self.dt, None if bad < 0 else bad)
 
-    def _read(self, x: Array, u: Array, t: float) -> Array:
-        if self._outputs is None:
-            return np.zeros(0)
-        y: Array = np.atleast_1d(self._outputs(x, u, t))  # complex in the middle of a complex step
-        return y
+    def _knots(self, U: Array) -> tuple[Array, Array]:
+        """Times of the knots, and the controls there, zero at the last. Shapes (N + 1,), (N + 1, nu)."""
+        N = len(U)
+        held = np.zeros((N + 1, self.nu))
+        held[:N] = U
+        return np.append(self._grid(N)[0], self.steps(N).sum()), held
+
+    def _reader(self, plain: Callable[..., Any]) -> Callable[..., Any]:
+        return kernels.compiled(plain) if self._reads_compiled else plain
 
     def _linearize_outputs(self, X: Array, U: Array) -> tuple[Array, Array]:
-        N = len(U)
-        C, D = np.zeros((N + 1, self.ny, self.nx)), np.zeros((N + 1, self.ny, self.nu))
+        C, D = np.zeros((len(X), self.ny, self.nx)), np.zeros((len(X), self.ny, self.nu))
         if self.ny:
-            times = np.append(self._grid(N)[0], self.steps(N).sum())
-            held = np.vstack([U, np.zeros(self.nu)])
-            differentiate = kernels.linearize_complex
-            if self.jacobian == "finite-difference":
-                differentiate = kernels.linearize_differences
-            for n in range(N + 1):
-                function = _Reading(self._read)
-                one = (function, kernels.MAP, 0, times[n : n + 1], np.ones(1), self.parameters)
-                with np.errstate(all="ignore"), refused_complex("outputs", 'jacobian="finite-difference"'):
-                    differentiate(*one, X[n : n + 1], held[n : n + 1], C[n : n + 1], D[n : n + 1])
-            D[N] = 0.0
+            by_differences = self.jacobian == "finite-difference"
+            self._differentiate_outputs(
+                kernels.linearize_differences if by_differences else kernels.linearize_complex, X, U, C, D
+            )
+            D[-1] = 0.0
         return C, D
 
     def _output_hessians(self, X: Array, U: Array, weights: Array) -> Array:
         """Second derivatives of w_n'y_n at every knot. Shape (N + 1, nx + nu, nx + nu)."""
-        times = np.append(self._grid(len(U))[0], self.steps(len(U)).sum())
-        held, one, function = np.vstack([U, np.zeros(self.nu)]), np.ones(len(X)), _Reading(self._read)
         H = np.zeros((len(X), self.nx + self.nu, self.nx + self.nu))
         by_differences = self.jacobian == "finite-difference"
-        differentiate = kernels.hessian_differences if by_differences else kernels.hessian_complex
-        with np.errstate(all="ignore"), refused_complex("outputs", 'jacobian="finite-difference"'):
-            differentiate(function, kernels.MAP, 0, times, one, self.parameters, X, held, weights, H)
+        self._differentiate_outputs(
+            kernels.hessian_differences if by_differences else kernels.hessian_complex,
+            X, U, np.ascontiguousarray(weights), H,
+        )  # fmt: skip
         return H
+
+    def _differentiate_outputs(self, kernel: Callable[..., Any], X: Array, U: Array, *arrays: Array) -> None:
+        """Run a kernel that differentiates maps on the outputs at all knots."""
+        times, held = self._knots(U)
+        arguments = (self._read, kernels.MAP, 0, times, np.ones(len(X)), self.parameters, X, held)
+        with np.errstate(all="ignore"), refused_complex("outputs", 'jacobian="finite-difference"'):
+            self._reader(kernel)(*arguments, *arrays)
 
     def _checked_hessian(self, parts: Any) -> Array:
         """H by (x, u) from its three blocks."""
@@ -302,48 +308,53 @@ class FunctionDynamics(Dynamics):
             raise ValueError(f"jacobian must return A and B of shapes {wanted}, got {given}")
         return A, B
 
-    def _probe_outputs(self) -> int:
-        """Number of outputs, by a call at the origin."""
-        if self._outputs is None:
-            return 0
+    def _reading(self, outputs: Callable[..., Any] | None) -> tuple[Callable[..., Any], bool, int]:
+        """Outputs as a function of (x, u, t, p), whether it is compiled, and ny, by a call at the origin.
+
+        Compiled ones that return something other than an array or a number are called from Python.
+        """
+        if outputs is None:
+            return lambda x, u, t, p: np.zeros(0), False, 0
+        compiled = isinstance(outputs, Dispatcher)
+        read = _with_all_arguments(outputs, compiled, "outputs")
         try:
             with np.errstate(all="ignore"):
-                y = self._read(np.zeros(self.nx), np.zeros(self.nu), 0.0)
+                value = _plain(read)(np.zeros(self.nx), np.zeros(self.nu), 0.0, self.parameters)
+            y = np.atleast_1d(np.asarray(value, dtype=np.float64))
         except (IndexError, ValueError, TypeError) as error:
             raise ValueError(
                 f"outputs fails for x of shape ({self.nx},) and u of shape ({self.nu},): {error}"
             ) from None
         if y.ndim != 1:
             raise ValueError(f"outputs must return numbers in a row (ny,), got shape {y.shape}")
-        return y.size
+        if compiled and isinstance(value, (float, np.floating)):
+            number = read
+            return numba.njit(lambda x, u, t, p: np.array([number(x, u, t, p)])), True, 1
+        compiled = compiled and isinstance(value, np.ndarray)
+        return read if compiled else lambda x, u, t, p: np.atleast_1d(_plain(read)(x, u, t, p)), compiled, y.size
 
     def _probe(self) -> None:
         """Call f once, so that a wrong shape is reported here and not from inside a rollout."""
-        function = self._f.py_func if isinstance(self._f, Dispatcher) else self._f
         try:
             with np.errstate(all="ignore"):
-                value = np.asarray(function(np.zeros(self.nx), np.zeros(self.nu), 0.0, self.parameters))
+                value = np.asarray(_plain(self._f)(np.zeros(self.nx), np.zeros(self.nu), 0.0, self.parameters))
         except (IndexError, ValueError, TypeError) as error:
             raise ValueError(f"f fails for x of shape ({self.nx},) and u of shape ({self.nu},): {error}") from None
         if value.shape != (self.nx,):
             raise ValueError(f"f must return shape ({self.nx},), got {value.shape}")
 
 
-class _Reading:
-    """Outputs with the arguments of a map, for the same differentiation code."""
-
-    def __init__(self, read: Callable[[Array, Array, float], Array]) -> None:
-        self._read = read
-
-    def __call__(self, x: Array, u: Array, t: float, p: Array) -> Array:
-        return self._read(x, u, t)
+def _plain(f: Callable[..., Any]) -> Callable[..., Any]:
+    """The Python function that a compiled one was made of."""
+    python: Callable[..., Any] = f.py_func if isinstance(f, Dispatcher) else f
+    return python
 
 
-def _with_all_arguments(f: Callable[..., Any], compiled: bool) -> Callable[..., Any]:
+def _with_all_arguments(f: Callable[..., Any], compiled: bool, name: str = "f") -> Callable[..., Any]:
     """Return f as a function of (x, u, t, p); plain functions return arrays whatever they are given as."""
-    given = _positional(f.py_func if isinstance(f, Dispatcher) else f)
+    given = _positional(_plain(f))
     if given not in (2, 3, 4):
-        raise ValueError(f"f must take (x, u), (x, u, t) or (x, u, t, p), but takes {given} arguments")
+        raise ValueError(f"{name} must take (x, u), (x, u, t) or (x, u, t, p), but takes {given} arguments")
     if compiled:
         if given == 4:
             return f
@@ -376,10 +387,6 @@ def _limits(given: Any, nu: int) -> Array:
             f"control_limits must have lower <= upper, but control {i} has {limits[i, 0]} and {limits[i, 1]}"
         )
     return limits
-
-
-def _with_time(outputs: Callable[..., Any]) -> Callable[..., Any]:
-    return outputs if _positional(outputs) >= 3 else lambda x, u, t: outputs(x, u)
 
 
 def _positional(f: Callable[..., Any]) -> int:

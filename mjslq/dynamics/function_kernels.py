@@ -86,6 +86,13 @@ def rollout(f, integrator, nv, times, steps, p, U, X_ref, K, lower, upper, appli
 
 
 @register_jitable
+def read_all(f, times, p, X, U, Y):
+    """Fill Y with outputs f(x, u, t, p) at the knots."""
+    for n in range(Y.shape[0]):
+        Y[n] = f(X[n].copy(), U[n].copy(), times[n], p)
+
+
+@register_jitable
 def linearize_complex(f, integrator, nv, times, steps, p, X, U, A, B):
     """Jacobians by complex steps: exact to rounding for functions that are analytic in x and u."""
     nx, nu = X.shape[1], U.shape[1]
@@ -192,6 +199,7 @@ COMPLEX = types.FunctionType(
 _common = (types.int64, types.int64, _vector, _vector, _vector)
 _SIGNATURES = {
     rollout: types.int64(REAL, *_common, _given, _given, _given_cube, _given, _given, _matrix, _matrix),
+    read_all: types.void(REAL, _vector, _vector, _given, _given, _matrix),
     linearize_complex: types.void(COMPLEX, *_common, _given, _given, _cube, _cube),
     linearize_differences: types.void(REAL, *_common, _given, _given, _cube, _cube),
     hessian_complex: types.void(COMPLEX, *_common, _given, _given, _given, _cube),

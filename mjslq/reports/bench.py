@@ -228,10 +228,11 @@ def _lq_problem(problem: Problem, trajectory: Trajectory) -> LQProblem:
 def _linearizations(dynamics: Any, trajectory: Trajectory) -> dict[str, Callable[[], Any]]:
     if not isinstance(dynamics, MujocoDynamics):
         return {"analytic": lambda: dynamics.linearize(trajectory)}
-    other = MujocoDynamics.from_model(dynamics.model, jacobian="transition", centered=False, threads=1)
+    alike = {"substeps": dynamics.substeps, "threads": 1}
+    other = MujocoDynamics.from_model(dynamics.model, jacobian="transition", centered=False, **alike)
     ways = {"transition": lambda: other.linearize(trajectory)}
     if dynamics.jacobian != "transition":
-        best = MujocoDynamics.from_model(dynamics.model, jacobian=dynamics.jacobian, threads=1)
+        best = MujocoDynamics.from_model(dynamics.model, jacobian=dynamics.jacobian, **alike)
         ways[dynamics.jacobian] = lambda: best.linearize(trajectory)
     return ways
 

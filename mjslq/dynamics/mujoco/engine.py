@@ -6,7 +6,7 @@ Notation
     dx                         ndx = 2 nv + na             tangent direction, as in mj_differentiatePos
     u = ctrl                   nu                          controls, clamped to ctrlrange by MuJoCo itself
     y = sensordata             ny = nsensordata            outputs: all the model's sensors, read at (x_n, u_n)
-    x_{n+1} = mj_step(x_n, u_n)                            with dt = opt.timestep
+    x_{n+1} = mj_step(... mj_step(x_n, u_n) ..., u_n)      k = substeps times, so that dt = k opt.timestep
 
 Whole horizons run in compiled loops that call libmujoco directly (`kernels`). A rollout starts from a
 clean mjData at time zero with a cold constraint solver, so equal inputs give equal results, bit for bit, and the
@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mjslq.dynamics.dynamics import Dynamics, Feedback, Linearization, Output
 from mjslq.scene import Scene
@@ -43,7 +44,10 @@ class MujocoDynamics(Dynamics):
     All four take the same options:
 
     timestep
-        Step length in place of the model's own. [s]
+        Length of a simulator step in place of the model's own. [s]
+    substeps
+        How many simulator steps a control is held for, k: a step of the horizon takes dt = k timestep. States between
+        the knots are kept as `Trajectory.substates`; outputs are read, and differentiated, at the knots alone.
     jacobian
         How `linearize` works: "inverse" differentiates the inverse dynamics of the step, analytically wherever
         possible, and covers most models; "transition" takes differences of the step (mjd_transitionFD), many times
@@ -64,6 +68,7 @@ class MujocoDynamics(Dynamics):
         model: mujoco.MjModel,
         *,
         timestep: float | None = None,
+        substeps: int = 1,
         jacobian: str = "auto",
         threads: int | None = None,
         eps: float = 1e-6,
@@ -82,7 +87,9 @@ class MujocoDynamics(Dynamics):
             self.model.opt.timestep = positive("timestep", timestep)
         self.nx, self.ndx, self.nv = model.nq + model.nv + model.na, 2 * model.nv + model.na, model.nv
         self.nu, self.ny = model.nu, model.nsensordata
-        self.dt = float(self.model.opt.timestep)
+        self.substeps = count("substeps", substeps)
+        """How many simulator steps a control is held for."""
+        self.dt = self.substeps * float(self.model.opt.timestep)
         self.state_names = names.state_names(model)
         self.control_names = names.control_names(model)
         self.output_names = names.output_names(model)
@@ -101,6 +108,7 @@ class MujocoDynamics(Dynamics):
         cls,
         path: str | Path,
         timestep: float | None = None,
+        substeps: int = 1,
         jacobian: str = "auto",
         threads: int | None = None,
         **options: Any,
@@ -115,13 +123,14 @@ class MujocoDynamics(Dynamics):
 
         model = load_model(path)
         options.setdefault("name", model_name(model) or Path(path).stem)
-        return cls(model, timestep=timestep, jacobian=jacobian, threads=threads, **options)
+        return cls(model, timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options)
 
     @classmethod
     def from_xml(
         cls,
         text: str,
         timestep: float | None = None,
+        substeps: int = 1,
         jacobian: str = "auto",
         threads: int | None = None,
         **options: Any,
@@ -129,13 +138,16 @@ class MujocoDynamics(Dynamics):
         """Compile MJCF text; see the class for the options."""
         from mjslq.dynamics.mujoco.files import model_of_text
 
-        return cls(model_of_text(text), timestep=timestep, jacobian=jacobian, threads=threads, **options)
+        return cls(
+            model_of_text(text), timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options
+        )
 
     @classmethod
     def from_spec(
         cls,
         spec: mujoco.MjSpec,
         timestep: float | None = None,
+        substeps: int = 1,
         jacobian: str = "auto",
         threads: int | None = None,
         **options: Any,
@@ -143,19 +155,22 @@ class MujocoDynamics(Dynamics):
         """Compile a copy of an `MjSpec`; see the class for the options."""
         from mjslq.dynamics.mujoco.files import compiled
 
-        return cls(compiled(spec.copy()), timestep=timestep, jacobian=jacobian, threads=threads, **options)
+        return cls(
+            compiled(spec.copy()), timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options
+        )
 
     @classmethod
     def from_model(
         cls,
         model: mujoco.MjModel,
         timestep: float | None = None,
+        substeps: int = 1,
         jacobian: str = "auto",
         threads: int | None = None,
         **options: Any,
     ) -> MujocoDynamics:
         """Copy a compiled `MjModel`; see the class for the options."""
-        return cls(model, timestep=timestep, jacobian=jacobian, threads=threads, **options)
+        return cls(model, timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options)
 
     def __repr__(self) -> str:
         return f"MujocoDynamics({self.name!r}, nx={self.nx}, ndx={self.ndx}, nu={self.nu}, ny={self.ny}, dt={self.dt})"
@@ -199,13 +214,20 @@ class MujocoDynamics(Dynamics):
         return self._threads
 
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
-        """One step by plain mj_step from a clean mjData: the next state (nx,) and the outputs (ny,) at (x, u).
+        """One step by plain calls to mj_step from a clean mjData: the next state (nx,) and the outputs (ny,) at (x, u).
 
         The state is NaN when MuJoCo warns of bad numbers or full buffers.
         """
         x, u = as_array("x", x, (self.nx,)), as_array("u", u, (self.nu,))
         with self._lock:
             return self.simulator.step(x, u, n)
+
+    def step_each(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
+        """One step from each knot, on several threads; see `Dynamics.step_each`."""
+        states, controls = np.asarray(X, dtype=np.float64), np.asarray(U, dtype=np.float64)
+        with self._lock:
+            F, _, Y = self.simulator.step_each(states, controls)
+        return F, Y
 
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step of `trajectory`, and of the outputs at every knot."""
@@ -218,7 +240,7 @@ class MujocoDynamics(Dynamics):
         if self.jacobian != "inverse":
             return super().linearize_steps(X, U, F)
         with self._lock:
-            return self._inverse.linearize(X, U, F)
+            return self._inverse.linearize(X, U, self.simulator.substates(X, U), F)
 
     def scene(self) -> Scene:
         """Return the compiled model, and where its pose is in x, for a viewer."""
@@ -229,7 +251,10 @@ class MujocoDynamics(Dynamics):
         from mjslq.dynamics.mujoco.report import report
 
         differences = "differences of the step" + (" to both sides" if self._centered else "")
-        return report(self.model, differences, self.jacobian)
+        parts = report(self.model, differences, self.jacobian)
+        if self.substeps > 1:
+            parts.insert(1, (f"{self.substeps} substeps", f"of {self.model.opt.timestep:g} s, the control held"))
+        return parts
 
     @cached_property
     def _scene(self) -> Scene:
@@ -246,7 +271,7 @@ class MujocoDynamics(Dynamics):
         """Whole-horizon loops and their memory, made when first asked for; one caller at a time."""
         from mjslq.dynamics.mujoco.simulator import Simulator
 
-        return Simulator(self.model, self._threads)
+        return Simulator(self.model, self._threads, self.substeps)
 
     @cached_property
     def _inverse(self) -> InverseJacobians:
@@ -255,7 +280,8 @@ class MujocoDynamics(Dynamics):
         return InverseJacobians(self.simulator, self._eps, self._centered)
 
     def _linearize_inverse(self, trajectory: Trajectory) -> Linearization:
-        return self._inverse.linearize(trajectory.X, trajectory.U, trajectory.X[1:])
+        substates = self.simulator.known_substates(trajectory)
+        return self._inverse.linearize(trajectory.X, trajectory.U, substates, trajectory.X[1:])
 
     def _linearize_transition(self, trajectory: Trajectory) -> Linearization:
         return self.simulator.linearize_transition(trajectory, self._eps, self._centered)

@@ -7,8 +7,9 @@ the addresses of the views that its Python bindings give out, so nothing here de
 
 Notation
 --------
-    x = (qpos, qvel, act), u = ctrl, y = sensordata         N steps, W workers
+    x = (qpos, qvel, act), u = ctrl, y = sensordata         N steps, each of k = substeps calls to mj_step
     X (N + 1, nx), U (N, nu), Y (N + 1, ny)                 K (N, nu, ndx), lower, upper (N, nu): see `Feedback`
+    S (N, k - 1, nx)                                        states between the knots
 """
 
 from __future__ import annotations
@@ -37,20 +38,22 @@ mj_forward = types.ExternalFunction("mj_forward", void_t(address_t, address_t))
 mj_differentiatePos = types.ExternalFunction(
     "mj_differentiatePos", void_t(address_t, address_t, number_t, address_t, address_t)
 )
+mj_setState = types.ExternalFunction("mj_setState", void_t(address_t, address_t, address_t, types.int32))
 mjd_transitionFD = types.ExternalFunction(
     "mjd_transitionFD", void_t(address_t, address_t, number_t, types.uint8, address_t, address_t, address_t, address_t)
 )
 
 ABSURD = float(mujoco.mjMAXVAL)
 """Magnitude from which MuJoCo calls a number bad."""
+TIME = int(mujoco.mjtState.mjSTATE_TIME)
 WARNINGS = int(mujoco.mjtWarning.mjNWARNING)
 
-_SIZES = ("N", "first", "last", "stride", "nq", "nv", "na", "nu", "ny", "centered")
+_SIZES = ("N", "first", "last", "stride", "substeps", "nq", "nv", "na", "nu", "ny", "centered")
 _ARRAYS = (
     "model", "data", "qpos", "qvel", "act", "ctrl", "qacc", "warmstart", "sensors", "warnings",
-    "X", "U", "Y", "applied", "X_ref", "K", "lower", "upper", "A", "B", "C", "D", "bad_knots",
+    "X", "U", "Y", "S", "F", "applied", "X_ref", "K", "lower", "upper", "A", "B", "C", "D", "bad_knots",
 )  # fmt: skip
-JOB = np.dtype([(name, np.int64) for name in _SIZES + _ARRAYS] + [("eps", np.float64)])
+JOB = np.dtype([(name, np.int64) for name in _SIZES + _ARRAYS] + [("eps", np.float64), ("dt", np.float64)])
 """What a kernel needs to know: sizes, addresses of arrays (0: absent), numbers."""
 
 
@@ -156,9 +159,29 @@ def _feedback(job, n, x, given, deviation, u):
 
 
 @numba.njit(inline="always")
-def _roll_out(job, X, U, applied, Y, deviation):
-    """Simulate from X[0] under U; return the first bad knot, N + 1 for none. X, Y and `applied` hold up to there."""
+def _hold(job, S, end, y):
+    """Step k times under the control in mjData, from the state there.
+
+    Writes the states between to the address S, the last one to the address `end`, and the outputs at the start into y.
+    Returns whether all is well.
+    """
+    nx, sensors = job.nq + job.nv + job.na, _vector(job.sensors, job.ny)
+    for s in range(job.substeps):
+        mj_step(job.model, job.data)
+        if s == 0:
+            copy_into(sensors, y)
+        x = _vector(S + 8 * s * nx if s < job.substeps - 1 else end, nx)
+        _store(job, x)
+        if _warned(job) or not _sane(x):
+            return False
+    return True
+
+
+@numba.njit(inline="always")
+def _roll_out(job, X, U, applied, Y, S, deviation):
+    """Simulate from X[0] under U; return the first bad knot, N + 1 for none. All arrays hold up to there."""
     ctrl, sensors, N = _vector(job.ctrl, job.nu), _vector(job.sensors, job.ny), job.N
+    nx = job.nq + job.nv + job.na
     mj_resetData(job.model, job.data)
     _load(job, X[0])
     for n in range(N):
@@ -167,10 +190,7 @@ def _roll_out(job, X, U, applied, Y, deviation):
         if not (_sane(applied[n]) and _sane(X[n])):
             return n
         copy_into(applied[n], ctrl)
-        mj_step(job.model, job.data)
-        copy_into(sensors, Y[n])
-        _store(job, X[n + 1])
-        if _warned(job) or not _sane(X[n + 1]):
+        if not _hold(job, S + 8 * n * (job.substeps - 1) * nx, X[n + 1].ctypes.data, Y[n]):
             return n + 1 if _sane(Y[n]) else n
         if not _sane(Y[n]):
             return n
@@ -185,46 +205,111 @@ def _roll_out(job, X, U, applied, Y, deviation):
 def simulate(_model, _data, worker, jobs):
     """Roll out number `first`, `first` + `stride`, ... below `last`, each from its X[0] under its U.
 
-    X, U, Y and `applied` are tables of addresses, one for each rollout. Where K is given the law makes `applied` of U;
-    where it is not, `applied` holds what U holds.
+    X, U, Y, S and `applied` are tables of addresses, one for each rollout. Where K is given the law makes `applied` of
+    U; where it is not, `applied` holds what U holds.
     """
     job = numba.carray(jobs, worker + 1, JOB)[worker]
     nx, N, deviation = job.nq + job.nv + job.na, job.N, np.empty(2 * job.nv + job.na)
     Xs, Us, Ys = _integers(job.X, job.last), _integers(job.U, job.last), _integers(job.Y, job.last)
+    Ss = _integers(job.S, job.last)
     controls, bad_knots = _integers(job.applied, job.last), _integers(job.bad_knots, job.last)
     for i in range(job.first, job.last, job.stride):
         X, Y = _matrix(Xs[i], N + 1, nx), _matrix(Ys[i], N + 1, job.ny)
         U, applied = _matrix(Us[i], N, job.nu), _matrix(controls[i], N, job.nu)
-        bad_knots[i] = _roll_out(job, X, U, applied, Y, deviation)
+        bad_knots[i] = _roll_out(job, X, U, applied, Y, Ss[i], deviation)
+
+
+@c_function(void_t(address_t, address_t, types.int32, types.voidptr))
+def step_each(_model, _data, worker, jobs):
+    """One step from each of the knots first ... last - 1, each from a clean mjData: F, S and Y; of knot N only Y.
+
+    F and S are NaN where the step goes wrong.
+    """
+    job = numba.carray(jobs, worker + 1, JOB)[worker]
+    nx, nu, ny, between = job.nq + job.nv + job.na, job.nu, job.ny, job.substeps - 1
+    X, U, Y = _matrix(job.X, job.N + 1, nx), _matrix(job.U, job.N, nu), _matrix(job.Y, job.N + 1, ny)
+    ctrl, sensors, time = _vector(job.ctrl, nu), _vector(job.sensors, ny), np.empty(1)
+    for n in range(job.first, job.last):
+        mj_resetData(job.model, job.data)
+        time[0] = n * job.dt
+        mj_setState(job.model, job.data, time.ctypes.data, TIME)
+        _load(job, X[n])
+        if n == job.N:
+            mj_forward(job.model, job.data)  # reset has left no control
+            copy_into(sensors, Y[n])
+            return
+        copy_into(U[n], ctrl)
+        S, end = job.S + 8 * n * between * nx, job.F + 8 * n * nx
+        if not (_sane(X[n]) and _sane(U[n]) and _hold(job, S, end, Y[n])):
+            for i in range(nx):
+                _vector(end, nx)[i] = np.nan
+            for i in range(between * nx):
+                _vector(S, between * nx)[i] = np.nan
+
+
+@numba.njit(inline="always")
+def _settle(job, x):
+    """Put x into mjData, and the constraint solver's solution there, found from a cold start, into its warm start."""
+    qacc, warmstart = _vector(job.qacc, job.nv), _vector(job.warmstart, job.nv)
+    _load(job, x)
+    for i in range(job.nv):
+        warmstart[i] = 0.0
+    mj_forward(job.model, job.data)
+    copy_into(qacc, warmstart)
+
+
+@numba.njit(inline="always")
+def _chain(A_1, B_1, A, B, product):
+    """A becomes A_1 A and B becomes A_1 B + B_1; `product` (ndx, ndx + nu) is for intermediate results."""
+    ndx, nu = B.shape
+    for i in range(ndx):
+        for c in range(ndx):
+            product[i, c] = 0.0
+        for c in range(nu):
+            product[i, ndx + c] = B_1[i, c]
+        for j in range(ndx):
+            weight = A_1[i, j]
+            for c in range(ndx):
+                product[i, c] += weight * A[j, c]
+            for c in range(nu):
+                product[i, ndx + c] += weight * B[j, c]
+    for i in range(ndx):
+        for c in range(ndx):
+            A[i, c] = product[i, c]
+        for c in range(nu):
+            B[i, c] = product[i, ndx + c]
 
 
 @c_function(void_t(address_t, address_t, types.int32, types.voidptr))
 def transition(_model, _data, worker, jobs):
     """Jacobians A, B, C, D of the knots first ... last - 1 by differences of the step (mjd_transitionFD).
 
+    Those of several simulator steps in a row are A_k ... A_1, and B_k + A_k (B_{k-1} + A_{k-1} (... B_1)).
+
     Knot N has no step: only its C is computed, at zero control. The constraint solver starts from the solution
     at the knot itself, found from a cold start, so that a knot's Jacobians do not depend on its neighbours.
     """
     job = numba.carray(jobs, worker + 1, JOB)[worker]
-    nx, ndx, nu, ny = job.nq + job.nv + job.na, 2 * job.nv + job.na, job.nu, job.ny
-    X, U = _matrix(job.X, job.N + 1, nx), _matrix(job.U, job.N, nu)
-    ctrl, qacc, warmstart = _vector(job.ctrl, nu), _vector(job.qacc, job.nv), _vector(job.warmstart, job.nv)
-    centered = types.uint8(job.centered)
+    nx, ndx, nu, ny, last = job.nq + job.nv + job.na, 2 * job.nv + job.na, job.nu, job.ny, job.substeps - 1
+    U, ctrl = _matrix(job.U, job.N, nu), _vector(job.ctrl, nu)
+    centered, product = types.uint8(job.centered), np.empty((ndx, ndx + nu))
+    A_1, B_1 = np.empty((ndx, ndx)), np.empty((ndx, nu))
     mj_resetData(job.model, job.data)
     for n in range(job.first, job.last):
-        _load(job, X[n])
         for i in range(nu):
             ctrl[i] = U[n, i] if n < job.N else 0.0
-        for i in range(job.nv):
-            warmstart[i] = 0.0
-        mj_forward(job.model, job.data)
-        copy_into(qacc, warmstart)
+        _settle(job, _vector(job.X + 8 * n * nx, nx))
         C = job.C + 8 * n * ny * ndx if ny > 0 else 0
-        if n < job.N:
-            A, B, D = job.A + 8 * n * ndx * ndx, job.B + 8 * n * ndx * nu, job.D + 8 * n * ny * nu if ny > 0 else 0
-            mjd_transitionFD(job.model, job.data, job.eps, centered, A, B, C, D)
-        elif ny > 0:
-            mjd_transitionFD(job.model, job.data, job.eps, centered, 0, 0, C, 0)
+        if n == job.N:
+            if ny > 0:
+                mjd_transitionFD(job.model, job.data, job.eps, centered, 0, 0, C, 0)
+            return
+        A, B, D = job.A + 8 * n * ndx * ndx, job.B + 8 * n * ndx * nu, job.D + 8 * n * ny * nu if ny > 0 else 0
+        mjd_transitionFD(job.model, job.data, job.eps, centered, A, B, C, D)
+        for s in range(last):
+            _settle(job, _vector(job.S + 8 * (n * last + s) * nx, nx))
+            mjd_transitionFD(job.model, job.data, job.eps, centered, A_1.ctypes.data, B_1.ctypes.data, 0, 0)
+            _chain(A_1, B_1, _matrix(A, ndx, ndx), _matrix(B, ndx, nu), product)
 
 
 def address(kernel: Any) -> int:

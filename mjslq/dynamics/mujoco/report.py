@@ -45,7 +45,9 @@ def _parts(model: mujoco.MjModel, differences: str) -> list[tuple[str, str]]:
         chart = "quaternion: tangent directions" if kind in (0, 1) else "plain numbers"
         rows.append((f"{number} {name}", chart) if number else ("", ""))
     limited = int(np.isfinite(control_limits(model)).any(axis=1).sum())
-    rows.append((f"{model.nu} controls", f"{limited} with limits, clamped by MuJoCo"))
+    rows.append(
+        (f"{model.nactuator} actuators", f"{model.nu} controls, {limited} with limits that MuJoCo clamps them to")
+    )
     rows.append((f"{model.na} activations", "part of the state") if model.na else ("", ""))
     rows.append((f"{model.ntendon} tendons", differences) if model.ntendon else ("", ""))
     if not has_contacts(model):

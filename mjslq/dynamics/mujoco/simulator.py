@@ -18,20 +18,22 @@ from mjslq.validation import Array
 
 
 class Simulator:
-    """A model with one mjData per thread. Not for several callers at once."""
+    """A model with one mjData per thread, whose controls are held over `substeps` steps. Not for several callers."""
 
-    def __init__(self, model: mujoco.MjModel, threads: int):
+    def __init__(self, model: mujoco.MjModel, threads: int, substeps: int = 1):
         refuse_callbacks()
-        self.model = model
+        self.model, self.substeps = model, substeps
+        self.dt = substeps * float(model.opt.timestep)
         self.nx, self.ndx = model.nq + model.nv + model.na, 2 * model.nv + model.na
         self.workers = Workers(threads)
         self.data = [mujoco.MjData(model) for _ in range(threads)]
 
     def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None) -> list[Trajectory]:
         """Simulate several times, shared out among the threads; see `Dynamics.rollouts`."""
-        (m, N, nu), dt, U = U.shape, float(self.model.opt.timestep), np.ascontiguousarray(U)
+        (m, N, nu), U = U.shape, np.ascontiguousarray(U)
         X = [np.empty((N + 1, self.nx)) for _ in range(m)]  # one by one, so that keeping one does not keep all
         Y = [np.empty((N + 1, self.model.nsensordata)) for _ in range(m)]
+        S = [self._substates(N) for _ in range(m)]
         for x, x0 in zip(X, x0s, strict=True):
             x[0] = x0
         if feedback is None:
@@ -40,19 +42,35 @@ class Simulator:
             applied = [np.empty((N, nu)) for _ in range(m)]
             law = feedback.contiguous()._asdict()
             law["X_ref"] = law.pop("X")
-        tables = {"X": _addresses(X), "Y": _addresses(Y), "U": _addresses(U), "applied": _addresses(applied)}
+        arrays: dict[str, Iterable[Array]] = {"X": X, "Y": Y, "S": S, "U": U, "applied": applied}
+        tables = {name: _addresses(parts) for name, parts in arrays.items()}
         bad_knots, workers = np.empty(m, np.int64), min(m, self.workers.count)
         jobs = self._jobs(workers, N, {**tables, **law, "bad_knots": bad_knots, "last": m, "stride": workers})
         jobs["first"] = np.arange(workers)
         self._run(kernels.simulate, jobs)
         found = []
-        for x, u, y, given, knot in zip(X, applied, Y, U, bad_knots.tolist(), strict=True):
+        for x, u, y, between, given, knot in zip(X, applied, Y, S, U, bad_knots.tolist(), strict=True):
             if knot <= N:
-                x[knot:], y[knot:] = np.nan, np.nan
+                x[knot:], y[knot:], between[max(knot - 1, 0) :] = np.nan, np.nan, np.nan
                 if feedback is not None:
                     u[knot:] = given[knot:]
-            found.append(Trajectory.unchecked(x, u, y, dt, knot if knot <= N else None))
+            bad = knot if knot <= N else None
+            found.append(Trajectory.unchecked(x, u, y, self.dt, bad, between if self.substeps > 1 else None))
         return found
+
+    def step_each(self, X: Array, U: Array) -> tuple[Array, Array, Array]:
+        """One step from each knot, X (N + 1, nx), U (N, nu), the knots shared out among the threads.
+
+        Returns where they end (N, nx), the states between (N, k - 1, nx) and the outputs (N + 1, ny).
+        """
+        N, X, U = len(U), np.ascontiguousarray(X), np.ascontiguousarray(U)
+        F, S, Y = np.empty((N, self.nx)), self._substates(N), np.empty((N + 1, self.model.nsensordata))
+        self._run_knots(kernels.step_each, N + 1, N, {"X": X, "U": U, "F": F, "S": S, "Y": Y, "dt": self.dt})
+        return F, S, Y
+
+    def substates(self, X: Array, U: Array) -> Array:
+        """States between the knots, simulated from each knot. Shape (N, k - 1, nx)."""
+        return self.step_each(X, U)[1] if self.substeps > 1 else self._substates(len(U))
 
     def linearize_transition(self, trajectory: Trajectory, eps: float, centered: bool) -> Linearization:
         """Take differences of the step, the knots shared out among the threads."""
@@ -60,27 +78,48 @@ class Simulator:
         result = Linearization(
             np.zeros((N, ndx, ndx)), np.zeros((N, ndx, nu)), np.zeros((N + 1, ny, ndx)), np.zeros((N + 1, ny, nu))
         )
-        shared = {"X": trajectory.X, "U": trajectory.U, **result._asdict(), "eps": eps, "centered": centered}
-        knots = N + 1 if ny else N
-        chunks = np.linspace(0, knots, min(self.workers.count, max(knots, 1)) + 1).astype(int)
-        jobs = self._jobs(len(chunks) - 1, N, shared)
-        jobs["first"], jobs["last"] = chunks[:-1], chunks[1:]
-        self._run(kernels.transition, jobs)
+        S = self.known_substates(trajectory)
+        given = {"X": trajectory.X, "U": trajectory.U, "S": S, "eps": eps, "centered": centered}
+        self._run_knots(kernels.transition, N + 1 if ny else N, N, given | result._asdict())
         return result
 
+    def known_substates(self, trajectory: Trajectory) -> Array:
+        """The states between the knots of `trajectory`, simulated anew where it does not have them."""
+        S = trajectory.substates
+        if S is not None and S.shape[1] == self.substeps - 1:
+            return S
+        return self.substates(trajectory.X, trajectory.U)
+
+    def shares(self, knots: int) -> np.ndarray[Any, Any]:
+        """First knot of each worker's share of `knots`, and behind them the number of all."""
+        return np.linspace(0, knots, min(self.workers.count, max(knots, 1)) + 1).astype(int)
+
+    def _run_knots(self, kernel: Any, knots: int, N: int, fields: dict[str, Any]) -> None:
+        """Share out `knots` among the threads."""
+        shares = self.shares(knots)
+        jobs = self._jobs(len(shares) - 1, N, fields)
+        jobs["first"], jobs["last"] = shares[:-1], shares[1:]
+        self._run(kernel, jobs)
+
+    def _substates(self, N: int) -> Array:
+        return np.empty((N, self.substeps - 1, self.nx))
+
     def step(self, x: Array, u: Array, n: int) -> tuple[Array, Array]:
-        """Take one plain mj_step."""
+        """Take one step by plain calls to mj_step."""
         refuse_callbacks()
         model, data = self.model, self.data[0]
         mujoco.mj_resetData(model, data)
-        data.time = n * model.opt.timestep
+        data.time = n * self.dt
         data.qpos, data.qvel, data.act = np.split(x, [model.nq, model.nq + model.nv])
         data.ctrl = u
         with quiet():
             mujoco.mj_step(model, data)
+            y = data.sensordata.copy()
+            for _ in range(self.substeps - 1):
+                mujoco.mj_step(model, data)
         if data.warning.number.any():
-            return np.full(self.nx, np.nan), data.sensordata.copy()
-        return np.concatenate([data.qpos, data.qvel, data.act]), data.sensordata.copy()
+            return np.full(self.nx, np.nan), y
+        return np.concatenate([data.qpos, data.qvel, data.act]), y
 
     def _run(self, kernel: Any, jobs: np.ndarray[Any, Any]) -> None:
         refuse_callbacks()
@@ -101,6 +140,7 @@ class Simulator:
         model = self.model
         jobs = np.zeros(len(self.data), kernels.JOB)
         sizes = {"nq": model.nq, "nv": model.nv, "na": model.na, "nu": model.nu, "ny": model.nsensordata}
+        sizes["substeps"] = self.substeps
         _fill(jobs, {"model": model._address, **sizes})
         for job, data in zip(jobs, self.data, strict=True):
             views = {

@@ -203,6 +203,12 @@ class PinocchioDynamics(Dynamics):
             q = pin.integrate(model, q, h * v)
         return np.concatenate([q, v]), y
 
+    def step_each(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
+        """One step from each knot; see `Dynamics.step_each`."""
+        states, controls = (np.array(array, dtype=np.float64, order="C") for array in (X, U))
+        with self._lock:
+            return self.simulator.step_each(states, controls)
+
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step of `trajectory`, and of the outputs at every knot."""
         self.check_trajectory(trajectory)

@@ -70,8 +70,9 @@ class Simulator(ABC):
         """The dofs outside of which J0 and J1 are the identity."""
         self.data = data = model.createData()
         pin.computeABADerivatives(model, data, pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv))
-        self._derivatives = (data.ddq_dq, data.ddq_dv, data.Minv)
-        self._acceleration, self._jacobian = data.ddq, data.J.T  # (nv,), (nv, 6)
+        square = (model.nv, model.nv)  # Pinocchio hands out matrices of one row or column as vectors
+        self._derivatives = tuple(np.reshape(part, square) for part in (data.ddq_dq, data.ddq_dv, data.Minv))
+        self._acceleration, self._jacobian = data.ddq, np.reshape(data.J.T, (model.nv, 6))
         self._memory = {j: (data.oMi[j].rotation, data.oMi[j].translation) for j in readings.joints}
         self.q, self.v = np.zeros(model.nq), np.zeros(model.nv)
         self.tau, self.dq = np.zeros(model.nv), np.zeros(model.nv)
@@ -88,7 +89,8 @@ class Simulator(ABC):
 
     def walk_jacobians(self, q: Array, d: Array) -> tuple[Array, Array]:
         """J0 and J1 of q (+) d among the curved dofs."""
-        J0, J1 = pin.dIntegrate(self.model, q, d)
+        square = (self.model.nv, self.model.nv)
+        J0, J1 = (np.reshape(part, square) for part in pin.dIntegrate(self.model, q, d))
         return J0[self.curved, self.curved], J1[self.curved, self.curved]
 
     def simulate(self, x0: Array, U: Array, feedback: Feedback | None) -> Trajectory:
@@ -111,6 +113,19 @@ class Simulator(ABC):
         if feedback is not None:
             applied[bad:] = U[bad:]
         return Trajectory.unchecked(X, applied, Y, self.h, bad)
+
+    def step_each(self, X: Array, U: Array) -> tuple[Array, Array]:
+        """One step from each knot; see `Dynamics.step_each`."""
+        N, nq = len(U), self.model.nq
+        ends, recorder = np.empty((N + 1, X.shape[1])), Recorder(self._memory, N + 1)
+        for n in range(N):
+            self.q[:], self.v[:] = X[n, :nq], X[n, nq:]
+            kernels.control(n, self.plain, X, U, self.dq, *self._no_law, self.damping, self.actuated, self.tau)
+            if not self.step(n, ends, recorder):
+                ends[n + 1] = np.nan
+        pin.forwardKinematics(self.model, self.data, X[N, :nq].copy())
+        recorder.note(N)
+        return ends[1:], self.readings.read(recorder.placements, N + 1)
 
     def run(self, X: Array, U: Array, law: Law, recorder: Recorder) -> int:
         """Simulate step by step; return how many steps went well."""

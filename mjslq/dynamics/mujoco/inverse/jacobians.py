@@ -48,16 +48,17 @@ class InverseJacobians:
             | fluid_table(model)
             | arm_table(model, rest)
             | rest_table(model, rest)
-            | {"eps": eps, "centered": int(centered)}
+            | {"eps": eps, "centered": int(centered), "substeps": simulator.substeps}
         )
         self._row_model = row_model(simulator.model)
         self._work = [self._workspace() for _ in range(simulator.workers.count)]
         self._blank = self._blank_jobs()
 
-    def linearize(self, X: Array, U: Array, ends: Array) -> Linearization:
+    def linearize(self, X: Array, U: Array, substates: Array, ends: Array) -> Linearization:
         """Jacobians of every step and of the outputs, the knots shared out among the workers.
 
-        Step n leads from X_n, shape (N + 1, nx), under U_n (N, nu) to ends_n (N, nx).
+        Step n leads from X_n, shape (N + 1, nx), under U_n (N, nu), through substates_n (N, k - 1, nx), to ends_n
+        (N, nx).
         """
         from mjslq.dynamics.mujoco.inverse.kernel import kernel
 
@@ -67,10 +68,11 @@ class InverseJacobians:
             np.empty((N, ndx, ndx)), np.empty((N, ndx, nu)), np.zeros((N + 1, ny, ndx)), np.zeros((N + 1, ny, nu))
         )
         knots = N + 1 if ny else N
-        chunks = np.linspace(0, knots, min(simulator.workers.count, max(knots, 1)) + 1).astype(int)
-        jobs = copied(self._blank[: len(chunks) - 1])
-        jobs["N"], jobs["first"], jobs["last"] = N, chunks[:-1], chunks[1:]
-        given = {name: np.ascontiguousarray(array) for name, array in (("X", X), ("U", U), ("ends", ends))}
+        shares = simulator.shares(knots)
+        jobs = copied(self._blank[: len(shares) - 1])
+        jobs["N"], jobs["first"], jobs["last"] = N, shares[:-1], shares[1:]
+        states = {"X": X, "U": U, "S": substates, "ends": ends}
+        given = {name: np.ascontiguousarray(array) for name, array in states.items()}
         for name, array in {**result._asdict(), **given}.items():
             jobs[name] = array.ctypes.data
         simulator.workers.run(kernels.address(kernel(self._level)), jobs)

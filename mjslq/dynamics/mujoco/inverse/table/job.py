@@ -12,7 +12,7 @@ Entries of a job, arrays by address:
     INTEGERS, NUMBERS    what the plan (`plan`) found out about the model, constant
     VIEWS                arrays of mjData, filled by MuJoCo's own functions at each knot
     WORK                 arrays for intermediate results, one set per worker
-    RESULTS              states, controls, where the steps end, and the Jacobians
+    RESULTS              states, controls, states between the knots, where the steps end, and the Jacobians
     OFFSETS              where mjData and mjContact hold what lies in the arena (`layout`)
 
 Names are those of mjModel and mjData wherever they mean the same. A compiled function takes the whole job and makes
@@ -29,7 +29,8 @@ from mjslq.dynamics.mujoco.inverse.table.layout import ARENA, CONTACT, COUNTS
 from mjslq.dynamics.mujoco.kernels import pointer
 
 SIZES = (
-    "N", "first", "last", "nq", "nv", "na", "nu", "ny", "columns", "nbody", "ngeom", "nsite", "nspring", "nball",
+    "N", "first", "last", "substeps",
+    "nq", "nv", "na", "nu", "ny", "columns", "nbody", "ngeom", "nsite", "nspring", "nball",
     "ntendon", "nten_coef", "nact_coef", "nquat", "implicit", "gyroscopic", "compensated", "constrained", "neq",
     "bodies_tied", "neq_coef", "npair", "geom_types", "collision_functions", "nsensor", "sensors_differenced",
     "sensors_accelerated", "sensors_on_rows", "sensors_of_energy", "sensors_cut", "sensors_of_bodies",
@@ -78,12 +79,13 @@ WORK: dict[str, tuple[int | str, int | str]] = {
     "fluid_K": ("nbody", 36), "fluid_hat": ("nbody", 36), "fluid_bend": ("nbody", 36), "fluid_W": ("nbody", 6),
     "fluid_U": ("nbody", 6), "fluid_X": (6, 6), "fluid_B": (18, 6), "fluid_local": (4, 6), "fluid_complex": (16, 6),
     "acc_rate": ("nv", "columns"), "lever": ("nv", 3), "covectors": (3, 18), "reading": ("ny", 1), "middle": ("ny", 1),
-    "tables": (306, 7), "tabulated": (2, 6), "found": (100, 10),
+    "tables": (306, 7), "tabulated": (2, 6), "found": (100, 10), "chained": ("columns", "columns"),
+    "product": ("columns", "columns"),
 }  # fmt: skip
 """Shapes of the arrays for intermediate results."""
 INDICES = ("dofs", "chain", "marked", "member", "spinning")
 """Arrays of nv integers for intermediate results."""
-RESULTS = ("X", "U", "ends", "A", "B", "C", "D")
+RESULTS = ("X", "U", "S", "ends", "A", "B", "C", "D")
 OFFSETS = tuple(f"at_{name}" for name in ARENA + COUNTS + tuple(f"contact_{name}" for name in (*CONTACT, "size")))
 JOB = np.dtype(
     [(name, np.int64) for name in (*SIZES, *OBJECTS, *INTEGERS, *NUMBERS, *VIEWS, *WORK, *INDICES, *RESULTS, *OFFSETS)]
