@@ -29,9 +29,7 @@ def verdict(count: int | None, reported: int | None, *, faithful: bool = True) -
     if count is None:
         return "the paper fails here, and so does ours" if reported is None else "not reached"
     if reported is None:
-        return (
-            "differs: the paper's fails, ours converges" if faithful else "the paper's method fails, this one converges"
-        )
+        return "differs: the paper's fails, ours converges" if faithful else "the paper's fails, this one converges"
     if count > reported:
         return f"{'differs: ' if faithful else ''}{count - reported} more"
     if not faithful:

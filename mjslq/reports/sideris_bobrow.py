@@ -235,11 +235,11 @@ def figure_3() -> Figure:
     for axis in (motion, gas):
         for place, (start, end) in enumerate(edges.reshape(-1, 2)):
             label = "stance" if place == 0 and axis is motion else None
-            axis.axvspan(times[start + 1], times[end], color="#eef1f4", zorder=0, label=label)
+            axis.axvspan(times[start + 1], times[end], color="#e4e9ef", zorder=0, label=label)
     motion.plot(times, y, label="height of the mass y")
     motion.plot(times, piston, label="piston $y_p$")
     motion.set(ylabel="[in]", title="Sideris and Bobrow 2005, Fig. 3: hopping to a height of 20 in")
-    motion.legend()
+    motion.legend(loc="upper center")
     gas.stairs(trajectory.U[:, 0], times, baseline=None, color=figures.COLORS[2], linewidth=1.6)
     gas.set(xlabel="t [s]", ylabel="gas u [in/s]", xlim=(0.0, float(times[-1])))
     gas.set_title("phases: " + ", ".join(phases(trajectory.X)), fontweight="normal")

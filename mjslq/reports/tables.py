@@ -115,9 +115,10 @@ def benchmark(rows: list[Row], growth: dict[str, dict[int, float]]) -> None:
         ours = min(row.linearize, key=lambda way: row.linearize[way])
         transition = f"{row.linearize['transition']:.2f}" if "transition" in row.linearize else "-"
         bare = [f"{row.bare[name]:.2f}" if row.bare else "-" for name in ("mj_step", "mj_inverse", "mjd_transitionFD")]
+        sweep = f"{row.sweep:.2f}" + (f" ({row.free_sweep:.2f} free)" if row.limited else "")
         phases.add_row(
             row.case, str(row.N), str(row.nx), str(row.nu), f"{row.rollout:.2f}", transition,
-            f"{row.linearize[ours]:.2f}", f"{row.sweep:.2f}", f"{row.iteration:.2f}",
+            f"{row.linearize[ours]:.2f}", sweep, f"{row.iteration:.2f}",
             f"{row.rollouts_per_iteration:.1f}", *bare,
         )  # fmt: skip
         if row.bare:
