@@ -198,12 +198,13 @@ def compare(
     from mjslq import problems
     from mjslq.options import COMMON
     from mjslq.reports import compare as comparing
+    from mjslq.reports import figures
     from mjslq.reports.tables import console, table
     from mjslq.validation import choose
 
     choose("problem", problem, problems.names())
     if plot is not None:
-        choose("ending of a picture", plot.suffix, comparing.FORMATS)
+        choose("ending of a picture", plot.suffix, figures.FORMATS)
     parameters, options = _sort_settings(settings or [], problem, list(COMMON))
     stated = problems.get(problem, **parameters)
     titles = ("method", "status", "iterations", "rollouts", "seconds", "cost", "|gradient|")
@@ -231,29 +232,27 @@ def reproduce(
         list[str] | None, typer.Argument(help="Methods whose paper to reproduce; all unless given.")
     ] = None,
     plot: Annotated[
-        Path | None, typer.Option(help="Draw Fig. 2 of the SLQ paper into this .png, .svg or .pdf.")
+        Path | None,
+        typer.Option(help="Draw the papers' figures, too, into this folder or files that begin so (PNG and SVG)."),
     ] = None,
 ) -> None:
     """Put the papers' numbers beside what comes out here, row by row."""
     _announce(quiet=False)
-    from rich.console import Console
-    from rich.table import Table
-
     from mjslq.reports import reproduce
-    from mjslq.reports.compare import FORMATS
+    from mjslq.reports.tables import StreamedTable
     from mjslq.validation import choose
 
-    if plot is not None:
-        choose("ending of a picture", plot.suffix, FORMATS)
+    if plot is not None and not plot.is_dir() and not plot.absolute().parent.is_dir():
+        raise ValueError(f"cannot write {plot}: there is no folder {plot.parent}")
     for paper in [choose("paper", paper, reproduce.PAPERS) for paper in papers or reproduce.PAPERS]:
-        table = Table("", "paper", "here", "verdict", box=None, pad_edge=False, header_style="bold", title=paper)
+        table, section = StreamedTable((paper, 5), ("paper", 5), ("here", 6), ("verdict", 7)), ""
         for row in reproduce.PAPERS[paper]():
-            print(f"{row.what}: {row.verdict}", file=sys.stderr, flush=True)
+            if row.section != section:
+                section = row.section
+                table.add_heading(section)
             table.add_row(row.what, row.paper, row.ours, row.verdict)
-        Console(width=max(170, Console().width)).print(table)
-        if plot is not None and paper in reproduce.FIGURES:
-            reproduce.FIGURES[paper](plot)
-            print(f"figure: {plot}", file=sys.stderr)
+        for file in [] if plot is None else reproduce.draw(paper, plot):
+            print(f"figure: {file}", file=sys.stderr, flush=True)
 
 
 @app.command()

@@ -20,7 +20,7 @@ def test_a_row_holds_positive_times_and_their_ratios():
     row = bench.run("hopper")
     assert (row.engine, row.N, row.nx, row.nu) == ("mujoco", 100, 4, 1)
     assert "transition" in row.linearize
-    times = [row.rollout, row.sweep, row.iteration, *row.linearize.values(), *row.bare.values()]
+    times = [row.rollout, row.sweep, row.free_sweep, row.iteration, *row.linearize.values(), *row.bare.values()]
     assert np.isfinite(times).all() and min(times) > 0.0
     assert row.ratio_to_bare == pytest.approx(row.iteration / (row.bare["mjd_transitionFD"] + row.bare["mj_step"]))
     assert row.ratio_to_calls == pytest.approx(
@@ -28,6 +28,14 @@ def test_a_row_holds_positive_times_and_their_ratios():
     )
     assert row.errors["inverse"] < row.errors["transition"] < 1e-6
     assert row.ratio_of_jacobians == pytest.approx(row.bare["mjd_transitionFD"] / min(row.linearize.values()))
+
+
+def test_limits_are_measured_where_they_hold(capsys):
+    row = bench.run("cart-pole within limits")
+    assert row.limited > 0 and row.sweep > 0.0 and row.free_sweep > 0.0
+    tables.benchmark([row], {})
+    assert "free)" in capsys.readouterr().out
+    assert bench.run("hopper").limited == 0
 
 
 def test_other_engines_have_no_bare_calls():

@@ -90,7 +90,7 @@ def test_preset_and_alias(tmp_path):
     outcome = run(*common, "-m", "ilqr", "--preset", "sideris-bobrow", "-s", "line_search=armijo")
     assert outcome.returncode == 0, outcome
     printed = json.loads(outcome.stdout)
-    assert (printed["method"], printed["iterations"]) == ("slq", 20)
+    assert (printed["method"], printed["iterations"]) == ("slq", 21)
     assert printed["options"]["acceleration"] is False and printed["options"]["rescue"] is False
 
 

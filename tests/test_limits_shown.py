@@ -17,9 +17,7 @@ def result(U, lower, upper, dt=0.1, names=()):
     U = np.asarray(U, dtype=float)
     lower, upper = (np.array(np.broadcast_to(limit, U.shape), dtype=float) for limit in (lower, upper))
     trajectory = Trajectory(np.zeros((len(U) + 1, 1)), U, dt=dt)
-    return Result(
-        Status.CONVERGED, "", 0.0, 1, 0.0, trajectory, None, lower, upper, names={"controls": tuple(names)}
-    )
+    return Result(Status.CONVERGED, "", 0.0, 1, 0.0, trajectory, None, lower, upper, names={"controls": tuple(names)})
 
 
 def test_spans_are_runs_of_steps():

@@ -1,7 +1,8 @@
 """`mjslq bench`: what an iteration costs on this machine, phase by phase, beside the engine's own calls.
 
-For each problem: milliseconds of a rollout, of a linearization (each way there is), of a sweep, and of a whole SLQ
-iteration: what each of the first ones adds to the time of a solve. Beside them "bare": the `mjd_transitionFD`
+For each problem: milliseconds of a rollout, of a linearization (each way there is), of a sweep (and of one without the
+limits of the controls, where there are any), and of a whole iteration of `slq`: what each of the first ones adds to the
+time of a solve, search and bookkeeping included. Beside them "bare": the `mjd_transitionFD`
 (one-sided) and `mj_step` calls that an iterative LQR over the same horizon needs at least, and `mj_inverse`, called
 knot by knot. Times are the least of several repeats, on one thread, and only ratios within one run mean anything
 across machines. Errors of Jacobians are those of A against a fine reference (five-point differences), relative to its
@@ -26,7 +27,7 @@ from mjslq.dynamics.derivative_check import fine_reference
 from mjslq.dynamics.dynamics import Dynamics
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.dynamics.mujoco.engine import usable_cores
-from mjslq.lq.problem import LQProblem
+from mjslq.lq.box import solve_in_box
 from mjslq.lq.riccati import solve as sweep
 from mjslq.optimize import solve
 from mjslq.problem import Problem
@@ -38,6 +39,8 @@ BUDGET = 0.6
 """Time spent on repeating one measurement, at most. [s]"""
 ITERATIONS = 10
 """Iterations of the solve that is timed."""
+METHOD = "slq"
+"""The method that is timed."""
 KNOTS = 10
 """Knots at which Jacobians are held against the fine reference."""
 
@@ -58,6 +61,11 @@ class Row:
     linearize: dict[str, float]
     """By way of differentiation."""
     sweep: float
+    """Within the limits of the controls."""
+    free_sweep: float
+    """Without limits."""
+    limited: int
+    """Controls at their limits along the trajectory that is measured."""
     iteration: float
     rollouts_per_iteration: float
     bare: dict[str, float] = field(default_factory=dict)
@@ -90,6 +98,7 @@ class Row:
 
 CASES: dict[str, Callable[[], Problem]] = {
     "hopper": lambda: problems.get("hopper"),
+    "cart-pole within limits": lambda: _cart_pole(),
     "panda_reach": lambda: problems.get("panda_reach"),
     "panda_reach on pinocchio": lambda: problems.get("panda_reach", engine="pinocchio"),
     "solo12 in flight": lambda: _solo12_in_flight(),
@@ -124,7 +133,7 @@ def growth_of_memory(name: str = "panda_reach", iterations: int = 1000) -> dict[
     problem, found, done = problems.get(name), {}, 0
     for goal in (iterations // 10, iterations):
         while done < goal:
-            result = solve(problem, tol=0.0, max_iterations=20, keep_iterates=False)
+            result = solve(problem, METHOD, tol=0.0, max_iterations=20, keep_iterates=False)
             done += max(result.iterations, 1)
         found[goal] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _KILOBYTES
     return found
@@ -155,13 +164,14 @@ GROWTH: dict[str, Callable[[], dict[int, float]]] = {
 
 def measure(case: str, problem: Problem) -> Row:
     """Measure `problem` along the trajectory that some iterations lead to."""
-    result = solve(problem, max_iterations=ITERATIONS, keep_iterates=False)
+    result = solve(problem, METHOD, max_iterations=ITERATIONS, keep_iterates=False)
     trajectory, dynamics = result.trajectory, problem.dynamics
     U, ways = np.array(trajectory.U), _linearizations(dynamics, trajectory)
-    lq = _lq_problem(problem, trajectory)
+    here = Iterate(problem, trajectory)
+    model, box = here.gauss_newton, here.box
     spent = [entry for entry in result.log if entry.outcome == "accepted"]
-    start = milliseconds(lambda: solve(problem, max_iterations=0, keep_iterates=False))
-    whole = milliseconds(lambda: solve(problem, max_iterations=ITERATIONS, keep_iterates=False))
+    start = milliseconds(lambda: solve(problem, METHOD, max_iterations=0, keep_iterates=False))
+    whole = milliseconds(lambda: solve(problem, METHOD, max_iterations=ITERATIONS, keep_iterates=False))
     return Row(
         case=case,
         engine=type(dynamics).__name__.removesuffix("Dynamics").lower(),
@@ -170,7 +180,9 @@ def measure(case: str, problem: Problem) -> Row:
         nu=dynamics.nu,
         rollout=milliseconds(lambda: dynamics.rollout(problem.x0, U)),
         linearize={mode: milliseconds(call) for mode, call in ways.items()},
-        sweep=milliseconds(lambda: sweep(lq)),
+        sweep=milliseconds(lambda: solve_in_box(model, box)),
+        free_sweep=milliseconds(lambda: sweep(model)),
+        limited=int(np.count_nonzero(result.active_limits)),
         iteration=(whole - start) / max(result.iterations, 1),
         rollouts_per_iteration=sum(entry.evaluations for entry in spent) / max(len(spent), 1),
         bare=_bare(dynamics, trajectory) if isinstance(dynamics, MujocoDynamics) else {},
@@ -198,11 +210,13 @@ def _phases(problem: Problem) -> float:
     """Milliseconds of rollout, linearization and sweep together, along the problem's start."""
     problem = _on_one_thread(problem)
     trajectory, dynamics = problem.rollout(_start(problem)), problem.dynamics
-    lq, U = _lq_problem(problem, trajectory), np.array(trajectory.U)
-    return sum(
-        milliseconds(call)
-        for call in (lambda: dynamics.rollout(problem.x0, U), lambda: dynamics.linearize(trajectory), lambda: sweep(lq))
+    model, U = Iterate(problem, trajectory).gauss_newton, np.array(trajectory.U)
+    calls = (
+        lambda: dynamics.rollout(problem.x0, U),
+        lambda: dynamics.linearize(trajectory),
+        lambda: sweep(model),
     )
+    return sum(milliseconds(call) for call in calls)
 
 
 def milliseconds(call: Callable[[], Any]) -> float:
@@ -216,13 +230,6 @@ def milliseconds(call: Callable[[], Any]) -> float:
         best = min(best, now - begin)
         if now > end:
             return 1e3 * best
-
-
-def _lq_problem(problem: Problem, trajectory: Trajectory) -> LQProblem:
-    here = Iterate(problem, trajectory)
-    A, B = here.linearization.A, here.linearization.B
-    Q, R, M, q, r = here.expansion
-    return LQProblem(A, B, Q, R, M, q, r, np.zeros(A.shape[:2]))
 
 
 def _linearizations(dynamics: Any, trajectory: Trajectory) -> dict[str, Callable[[], Any]]:
@@ -278,6 +285,24 @@ def _errors(dynamics: MujocoDynamics, trajectory: Trajectory) -> dict[str, float
     scale = np.abs(fine).max(axis=(1, 2))
     found = {mode: call().A for mode, call in _linearizations(dynamics, part).items()}
     return {mode: float(np.median(np.abs(A - fine).max(axis=(1, 2)) / scale)) for mode, A in found.items()}
+
+
+_CART_POLE = """
+<mujoco><option timestep=".02" integrator="implicitfast"/><worldbody>
+  <body><joint name="rail" type="slide" axis="1 0 0"/><geom type="box" size=".15 .1 .08" mass="1"/>
+    <body><joint name="hinge" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.5" size=".02" mass=".1"/>
+    </body></body></worldbody>
+  <actuator><motor joint="rail" ctrlrange="-5 5"/></actuator></mujoco>
+"""
+
+
+def _cart_pole() -> Problem:
+    """A pole swung up by a force of at most 5 N."""
+    dynamics = MujocoDynamics.from_xml(_CART_POLE, threads=1)
+    upright = [0.0, np.pi, 0.0, 0.0]
+    arrive = State([500.0, 500.0, 50.0, 50.0], upright, when="terminal")
+    running = [State([1.0, 1.0, 0.1, 0.1], upright), Control(0.01)]
+    return Problem(dynamics, 150, np.zeros(4), [*running, arrive], name="cart-pole")
 
 
 _GRASP = """

@@ -8,14 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mjslq.files import atomic_write
 from mjslq.optimize import ALIASES, METHODS, solve
 from mjslq.problem import Problem
-from mjslq.reports import convergence
+from mjslq.reports import convergence, figures
 from mjslq.result import Result
 from mjslq.validation import choose
-
-FORMATS = (".png", ".svg", ".pdf")
 
 
 @dataclass(frozen=True)
@@ -41,31 +38,27 @@ def compare(problem: Problem, methods: Sequence[str] = (), **options: Any) -> It
         yield Entry(method, solve(problem, method, **options))
 
 
+@figures.styled
 def plot(entries: Sequence[Entry], path: str | os.PathLike[str], title: str = "") -> None:
     """Draw relative costs, J over the best J found less one, against iterations and against time.
 
-    Raises ValueError when the name ends in none of `FORMATS`, or the file cannot be written.
+    Raises ValueError when the name ends in none of `figures.FORMATS`, or the file cannot be written.
     """
-    choose("ending of a picture", Path(path).suffix, FORMATS)
-    from matplotlib.figure import Figure
-
+    choose("ending of a picture", Path(path).suffix, figures.FORMATS)
     curves = [entry for entry in entries if entry.result.log]
     if not curves:
         raise ValueError("there is nothing to plot: no method came past its start")
     relative = convergence.relative_costs([entry.result.log for entry in curves])
-    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
-    axes = figure.subplots(1, 2, sharey=True)
+    figure, axes = figures.subplots(1, 2, (10.0, 4.2), sharey=True)
+    by_iteration, by_time = axes[0]
     for entry, shown in zip(curves, relative, strict=True):
         log = entry.result.log
         end = "" if entry.result.success else f" ({entry.result.status.value})"
-        for axis, abscissa in zip(axes, (convergence.iterations(log), convergence.seconds(log)), strict=True):
-            axis.semilogy(abscissa, shown, marker=".", label=entry.method + end)
-    for axis, label in zip(axes, ("iteration", "time [s]"), strict=True):
-        axis.set_xlabel(label)
-        axis.grid(True, which="major", alpha=0.3)
-    axes[1].set_xscale("log")  # the slowest method would squeeze the others against the axis
-    axes[0].set_ylabel(r"$(J - J_\mathrm{best})\, /\, |J_\mathrm{best}|$")
-    axes[0].legend(frameon=False)
+        marker = "." if len(log) < 60 else ""
+        by_iteration.semilogy(convergence.iterations(log), shown, marker=marker, label=entry.method + end)
+        by_time.semilogy(convergence.seconds(log), shown, marker=marker)
+    by_iteration.set(xlabel="iteration", ylabel=r"$(J - J_\mathrm{best})\, /\, |J_\mathrm{best}|$")
+    by_iteration.legend()
+    by_time.set(xlabel="time [s]", xscale="log")  # the slowest method would squeeze the others against the axis
     figure.suptitle(title)
-    with atomic_write(path) as stream:
-        figure.savefig(stream, format=Path(path).suffix[1:], dpi=150)
+    figures.save(figure, path)

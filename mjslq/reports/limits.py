@@ -1,8 +1,8 @@
 """Which controls are at their limits, and when: for summaries, plots and pages.
 
-A control counts as at a limit when it is within `NEAR` of it, relative to the range between its limits: steps shorter
-than the whole come ever nearer to a limit without touching it (`Result.active_limits` tells which do). Step n lasts from
-t_n to t_{n+1}; steps in a row make a span.
+A control counts as at a limit when it is within `NEAR` of it, relative to the range between its limits: steps of less
+than full size come ever nearer to a limit without touching it (`Result.active_limits` tells which do). Step n lasts
+from t_n to t_{n+1}; steps in a row make a span.
 """
 
 from __future__ import annotations

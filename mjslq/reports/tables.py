@@ -24,6 +24,31 @@ def table(*titles: str, title: str | None = None, caption: str | None = None) ->
     return Table(*titles, title=title, caption=caption, **look)
 
 
+class StreamedTable:
+    """A table whose rows appear as they come; columns are (title, share of the width)."""
+
+    def __init__(self, *columns: tuple[str, int]) -> None:
+        self._screen, self._shares = console(160), [share for _, share in columns]
+        self._print([Text(title, style="bold") for title, _ in columns])
+
+    def add_row(self, *cells: str) -> None:
+        """Print a row; a cell that is too long goes on in its next line."""
+        self._print([Text(cell) for cell in cells])
+        self._screen.file.flush()
+
+    def add_heading(self, text: str) -> None:
+        """Print a line over the rows that follow."""
+        self._screen.print()
+        self._screen.print(Text(text, style="italic"))
+
+    def _print(self, cells: list[Text]) -> None:
+        grid = Table.grid(padding=(0, 2, 0, 0), expand=True)
+        for share in self._shares:
+            grid.add_column(ratio=share)
+        grid.add_row(*cells)
+        self._screen.print(grid)
+
+
 def console(at_least: int = 0) -> Console:
     """Return a console on standard output that is `at_least` so many characters wide."""
     return Console(width=max(at_least, Console().width), highlight=False)
@@ -90,9 +115,10 @@ def benchmark(rows: list[Row], growth: dict[str, dict[int, float]]) -> None:
         ours = min(row.linearize, key=lambda way: row.linearize[way])
         transition = f"{row.linearize['transition']:.2f}" if "transition" in row.linearize else "-"
         bare = [f"{row.bare[name]:.2f}" if row.bare else "-" for name in ("mj_step", "mj_inverse", "mjd_transitionFD")]
+        sweep = f"{row.sweep:.2f}" + (f" ({row.free_sweep:.2f} free)" if row.limited else "")
         phases.add_row(
             row.case, str(row.N), str(row.nx), str(row.nu), f"{row.rollout:.2f}", transition,
-            f"{row.linearize[ours]:.2f}", f"{row.sweep:.2f}", f"{row.iteration:.2f}",
+            f"{row.linearize[ours]:.2f}", sweep, f"{row.iteration:.2f}",
             f"{row.rollouts_per_iteration:.1f}", *bare,
         )  # fmt: skip
         if row.bare:
