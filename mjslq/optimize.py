@@ -155,8 +155,9 @@ def solve(
     """
     if not isinstance(problem, Problem):
         raise ValueError(f"problem must be a mjslq.Problem, got {type(problem).__name__}")
+    method = choose("method", method, [*METHODS, *ALIASES])
     method = ALIASES.get(method, method)
-    chosen = METHODS[choose("method", method, [*METHODS, *ALIASES])]
+    chosen = METHODS[method]
     stops = {"tol": tol, "max_iterations": max_iterations, "deadline": deadline}
     asked = {name: value for name, value in stops.items() if value is not None} | options
     settings = _settings(problem, method, preset, asked)
