@@ -25,8 +25,8 @@ have to be kept, not the states.
 Steps are halved until one descends, under the sweep's feedback; full ones that bring more than the model expects are
 doubled as long as that pays.
 
-Second derivatives are taken in when full steps shrink the expected decrease by less than `SLOW` twice in a row, or
-steps have to be shortened as often: then Gauss-Newton converges slowly, or points the wrong way. A direction that has
+Second derivatives are taken in when full steps shrink the expected decrease by less than `SLOW` three times in a
+row, or steps have to be shortened as often: then Gauss-Newton converges slowly, or points the wrong way. A direction that has
 a multiplier never counts as converged.
 """
 
@@ -48,7 +48,7 @@ from mjslq.validation import Array
 
 SLOW = 0.3
 """Factor by which a full step has to shrink the expected decrease."""
-PATIENCE = 2
+PATIENCE = 3
 """Slow iterations in a row, after which second derivatives are taken in."""
 LEAST_THETA = 0.01
 """Share of the curvature below which none is taken in."""
@@ -106,6 +106,7 @@ class Auto(Method):
         self.mu, self.theta = Multipliers(), 1.0
         self._kind = "state"  # which multiplier short steps raise
         self._creeping = 0
+        self._resting, self._rest = 0, 4  # iterations that second derivatives rest, and the next time
         self._second_from: int | None = 0 if options.curvature == "always" else None
         self._slow, self._last, self._iterations, self._damped = 0, np.inf, 0, 0
         self._costates: Array | None = None
@@ -115,7 +116,8 @@ class Auto(Method):
     def direction(self, here: Iterate) -> Direction:
         """Minimize the model at the head of this file."""
         self._exact = None
-        if self._second_from is not None:
+        self._resting -= self._resting > 0
+        if self._second_from is not None and not self._resting:
             self._exact = _finite(here.hamiltonian(self._costates_for(here)))
         for raised in range(RAISES):
             try:
@@ -193,11 +195,26 @@ class Auto(Method):
             self._second_from, self.theta = self._iterations, 1.0
 
     def _rescue(self, here: Iterate, merit: Merit) -> Step:
-        """Full steps with a growing multiplier, where the line search found none."""
+        """Full steps with a growing multiplier, where the line search found none: of either kind, and last without
+        second derivatives, which then rest for some iterations.
+        """
         assert self._latest is not None
-        scale, factor, spent = self._latest.natural, 2.0, 0
-        kind = self._kind
-        mu = self.mu.at_least(kind, getattr(scale, kind))
+        spent, exact, scale = 0, self._exact, self._latest.natural
+        for self._exact in (exact, None) if exact is not None else (None,):
+            for kind in (self._kind, _other(self._kind)):
+                step = self._raise(here, merit, kind, self.mu.at_least(kind, getattr(scale, kind)), scale)
+                spent += step.rollouts
+                if step.iterate is not None:
+                    self._kind, self._slow = kind, self._slow + 1
+                    if exact is not None and self._exact is None:
+                        self._resting, self._rest = self._rest, 2 * self._rest
+                    self._watch(merit.value(here) - merit.value(step.iterate), merit.value(here))
+                    return Step(step.iterate, 1.0, spent)
+        return Step(None, rollouts=spent)
+
+    def _raise(self, here: Iterate, merit: Merit, kind: str, mu: Multipliers, scale: Multipliers) -> Step:
+        """Raise one multiplier until a full step descends."""
+        factor, spent = 2.0, 0
         for _ in range(RESCUES):
             try:
                 latest = self._minimize(here, mu)
@@ -212,8 +229,7 @@ class Auto(Method):
                     break
                 there, spent = candidates(here, ahead, [1.0], "closed-loop")[0], spent + 1
                 if merit.value(there) < merit.value(here) + C1 * slope:
-                    self.mu, self.theta, self._costates, self._slow = mu, latest.theta, ahead.costates, self._slow + 1
-                    self._watch(merit.value(here) - merit.value(there), merit.value(here))
+                    self.mu, self.theta, self._costates = mu, latest.theta, ahead.costates
                     return Step(there, 1.0, spent)
             mu, factor = mu.at_least(kind, factor * getattr(mu, kind)), 2.0 * factor
         return Step(None, rollouts=spent)
@@ -222,8 +238,7 @@ class Auto(Method):
         """Let the multipliers change parts when damped steps creep."""
         self._creeping = self._creeping + 1 if any(self.mu) and decrease < CREEP * abs(start) else 0
         if self._creeping >= PATIENCE_TO_CREEP:
-            self._kind, self._creeping = ("control" if self._kind == "state" else "state"), 0
-            self.mu = Multipliers()
+            self._kind, self._creeping, self.mu = _other(self._kind), 0, Multipliers()
 
     def _costates_for(self, here: Iterate) -> Array:
         """Costates of the sweep before; at the start those of a Gauss-Newton sweep."""
@@ -233,6 +248,10 @@ class Auto(Method):
             return _solve(here, here.gauss_newton, 1.0, self.mu).found.lq.costates
         except NotPositiveDefinite:
             return here.costates
+
+
+def _other(kind: str) -> str:
+    return "control" if kind == "state" else "state"
 
 
 def _expanded(trial: Trial, alpha: float) -> float:
