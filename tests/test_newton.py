@@ -64,6 +64,19 @@ def test_every_modification_descends(seed, name):
         np.testing.assert_array_equal(solution.found.lq.U, sweep(problem).U)
 
 
+@given(seeds, st.sampled_from(sorted(MODIFICATIONS)))
+def test_every_modification_descends_within_limits(seed, name):
+    problem, rng = random_lq(seed), np.random.default_rng(seed)
+    N, _, nu = problem.B.shape
+    convex = problem._replace(
+        Q=problem.Q @ problem.Q.swapaxes(1, 2), R=np.tile(np.eye(nu), (N, 1, 1)), M=np.zeros_like(problem.M)
+    )
+    box = Box(-rng.uniform(0.0, 1.0, (N, nu)), rng.uniform(0.0, 1.0, (N, nu)))
+    found = convex_solution(problem, convex, box, MODIFICATIONS[name]).found
+    assert (box.lower <= found.lq.U).all() and (box.upper >= found.lq.U).all()
+    assert np.vdot(dense(problem)[1], found.lq.U) < 0.0 and not found.lq.K[found.held].any()
+
+
 def test_a_problem_without_control_weights_gets_the_least_multiplier():
     problem = LQProblem(
         np.ones((3, 1, 1)), np.zeros((3, 1, 1)), np.ones((4, 1, 1)), np.zeros((3, 1, 1)), np.zeros((3, 1, 1)),

@@ -123,11 +123,11 @@ def test_drag_particle_of_table_1(beta, iterations):
 
 
 @pytest.mark.parametrize("engine", ["function", "mujoco"])
-@pytest.mark.parametrize("height", [1.0, 5.0, 10.0, 20.0, 30.0, 50.0])
-def test_hopper_reaches_every_height_of_the_paper(height, engine):
+@pytest.mark.parametrize("height, most", [(1.0, 30), (5.0, 50), (10.0, 30), (20.0, 60), (30.0, 80), (50.0, 110)])
+def test_hopper_reaches_every_height_of_the_paper(height, most, engine):
     result = solve(problems.get("hopper", height=height, engine=engine))
     assert result.status is Status.CONVERGED, result.message
-    assert result.iterations <= 166
+    assert result.iterations <= most  # 3 at height 1 and 166 at height 50 in the paper, which steps open loop
     assert result.trajectory.X[-1, 0] == pytest.approx(height, rel=0.01)
     sequence = phases(result.trajectory.X)
     assert "stance flight stance" in " ".join(sequence) or "flight stance flight" in " ".join(sequence)
