@@ -25,9 +25,9 @@ have to be kept, not the states.
 Steps are halved until one descends, under the sweep's feedback; full ones that bring more than the model expects are
 doubled as long as that pays.
 
-Second derivatives are taken in when full steps shrink the expected decrease by less than `SLOW` three times in a
-row, or steps have to be shortened as often: then Gauss-Newton converges slowly, or points the wrong way. A direction that has
-a multiplier never counts as converged.
+Second derivatives are taken in when full steps shrink the expected decrease by less than `SLOW` three times in a row,
+or steps have to be shortened as often: then Gauss-Newton converges slowly, or points the wrong way. A direction that
+has a multiplier never counts as converged.
 """
 
 from __future__ import annotations
