@@ -68,8 +68,6 @@ class PinocchioDynamics(Dynamics):
     They raise ValueError when the model cannot be read or a name is not in it; the message lists those that are.
     """
 
-    wants_feedback = True
-
     def __init__(
         self,
         model: Any,
