@@ -36,6 +36,7 @@ ok = {"f": lambda x, u: -x, "nx": 2, "nu": 1, "dt": 0.1}
         ({"f": "x' = -x"}, "f must be a function"),
         ({"outputs": lambda x, u: np.zeros((2, 2))}, r"outputs must return .*\(2, 2\)"),
         ({"outputs": lambda x, u: x[7]}, r"outputs? fails? for x of shape \(2,\)"),
+        ({"outputs": lambda x: x}, r"outputs must take \(x, u\), .* but takes 1 arguments"),
     ],
 )
 def test_wrong_arguments_are_refused_in_one_sentence(change, sentence):

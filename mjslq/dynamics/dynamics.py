@@ -17,7 +17,6 @@ The grain of the interface is the whole horizon: one call rolls out or linearize
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -63,9 +62,6 @@ class Dynamics(ABC):
     control_limits: Array
     """Lower and upper limit of each control: what the model clamps it to, or the actuator is rated for. Shape (nu, 2).
     -inf and inf where there is none."""
-    wants_feedback: bool = False
-    """Whether steps of an optimizer had better run under feedback: true of engines that simulate robots, whose
-    unstable motions drift away from an open-loop change of the controls."""
     control_names: tuple[str, ...]
     output_names: tuple[str, ...]
 
@@ -101,29 +97,21 @@ class Dynamics(ABC):
     def rollout_feedback(
         self, reference: Trajectory, K: Array, k: Array, alpha: float = 1.0, x0: ArrayLike | None = None
     ) -> Trajectory:
-        """Simulate under u_n = u_ref,n + alpha k_n - K_n difference(x_ref,n, x_n).
+        """Simulate under u_n = u_ref,n + alpha k_n - K_n difference(x_ref,n, x_n), with all arguments checked.
 
-        K has shape (N, nu, ndx), k (N, nu). Starts at the reference's first state unless `x0` is given.
+        K has shape (N, nu, ndx), k (N, nu). Starts at the reference's first state unless `x0` is given. Raises
+        ValueError for arrays of other shapes, and for a reference that diverged or is of another system.
         """
-        return self.rollout_candidates(reference, K, k, [alpha], x0)[0]
-
-    def rollout_candidates(
-        self, reference: Trajectory, K: Array, k: Array, alphas: Sequence[float], x0: ArrayLike | None = None
-    ) -> list[Trajectory]:
-        """`rollout_feedback` for each step size of `alphas`; engines with threads run them side by side."""
-        K, k, x0 = self.checked_feedback(reference, K, k, x0)
-        U = np.stack([reference.U + alpha * k for alpha in alphas])
-        return self.rollouts(np.tile(x0, (len(U), 1)), U, Feedback.unlimited(reference.X, K))
+        self.check_trajectory(reference)
+        N = reference.horizon
+        K, k = as_array("K", K, (N, self.nu, self.ndx)), as_array("k", k, (N, self.nu))
+        start = reference.X[0] if x0 is None else self.checked_start(x0)
+        return self.rollouts(start[None], (reference.U + alpha * k)[None], Feedback.unlimited(reference.X, K))[0]
 
     @property
     def threads(self) -> int:
         """How many of the `rollouts` run side by side."""
         return 1
-
-    @property
-    def candidates_at_once(self) -> int:
-        """The former name of `threads`."""
-        return self.threads
 
     @abstractmethod
     def linearize(self, trajectory: Trajectory) -> Linearization:
@@ -271,12 +259,3 @@ class Dynamics(ABC):
                 f"the trajectory has {trajectory.X.shape[1]} states and {trajectory.U.shape[1]} controls, "
                 f"but these dynamics have {self.nx} and {self.nu}"
             )
-
-    def checked_feedback(
-        self, reference: Trajectory, K: Array, k: Array, x0: ArrayLike | None
-    ) -> tuple[Array, Array, Array]:
-        """Return gains, feedforward and start of a rollout about `reference`, or raise ValueError."""
-        self.check_trajectory(reference)
-        N = reference.horizon
-        K, k = as_array("K", K, (N, self.nu, self.ndx)), as_array("k", k, (N, self.nu))
-        return K, k, reference.X[0] if x0 is None else self.checked_start(x0)

@@ -61,8 +61,6 @@ class MujocoDynamics(Dynamics):
     They raise ValueError when the model cannot be read, or is not supported; the sentence says why and what helps.
     """
 
-    wants_feedback = True
-
     def __init__(
         self,
         model: mujoco.MjModel,

@@ -68,8 +68,6 @@ class PinocchioDynamics(Dynamics):
     They raise ValueError when the model cannot be read or a name is not in it; the message lists those that are.
     """
 
-    wants_feedback = True
-
     def __init__(
         self,
         model: Any,
@@ -175,7 +173,7 @@ class PinocchioDynamics(Dynamics):
 
     def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None = None) -> list[Trajectory]:
         """Simulate several times, one after the other; see `Dynamics.rollouts`."""
-        controls = [np.ascontiguousarray(U[0])] if len(U) == 1 else [u.copy() for u in U]
+        controls = list(U) if len(U) == 1 or feedback is not None else [u.copy() for u in U]
         with self._lock:
             return [self.simulator.simulate(x0, u, feedback) for x0, u in zip(x0s, controls, strict=True)]
 

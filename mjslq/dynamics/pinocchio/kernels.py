@@ -4,11 +4,13 @@ Notation
 --------
     q (nq,), v (nv,)           where the simulation stands      a (nv,)    its acceleration
     tau (nv,)                  joint torques: controls less damping
-    X (N + 1, nq + nv)         states so far                    U (N, nu)  controls, open loop or given to the law
+    X (N + 1, nq + nv)         states so far                    U (N, nu)  controls
     actuated (nu,)             the velocities that the controls act on
-    law                        X_ref (N + 1, nq + nv), K (N, nu, 2 nv), lower, upper (N, nu), applied (N, nu): u_n =
-                               clip(U_n - K_n difference(X_ref_n, x_n), lower_n, upper_n), written into `applied`;
-                               without feedback K and `applied` have no rows
+    law                        X_ref (N + 1, nq + nv), K (N, nu, 2 nv), limits (2, N, nu): U_n is replaced by
+                               clip(U_n - K_n difference(X_ref_n, x_n), limits[0, n], limits[1, n])
+
+A call costs some 50 ns for every array among its arguments, and more for read-only ones, whose types numba looks up
+anew each time: what is called at each step takes few of them, and none that is read-only.
 """
 
 from __future__ import annotations
@@ -16,44 +18,42 @@ from __future__ import annotations
 from numba import njit, types
 
 _real, _whole, _flag = types.float64, types.int64, types.boolean
-_vector, _matrix = _real[::1], _real[:, ::1]
-_given_vector, _given_matrix, _given_cube = (types.Array(_real, ndim, "C", readonly=True) for ndim in (1, 2, 3))
-_given_indices = types.Array(_whole, 1, "C", readonly=True)
-_law = (_given_matrix, _given_cube, _given_matrix, _given_matrix, _matrix)
+_vector, _matrix, _cube, _indices = _real[::1], _real[:, ::1], _real[:, :, ::1], _whole[::1]
+_law = (_matrix, _cube, _cube)
+
 ABSURD = 1e10
 """Magnitude of a position or velocity from which a simulation has blown up; MuJoCo draws the line there too."""
 
 
-_control = (_whole, _flag, _matrix, _given_matrix, _vector, *_law, _given_vector, _given_indices, _vector)
+_control = (_whole, _matrix, _matrix, _vector, _indices, _vector)
 
 
 @njit(types.void(*_control), cache=True)
-def control(n, plain, X, U, dq, X_ref, K, lower, upper, applied, damping, actuated, tau):
-    """Write the torques of step n, and under feedback its controls.
-
-    `dq` is difference(q_ref, q), looked at only where it is not `plain` subtraction.
-    """
-    nv, nu = tau.size, actuated.size
+def control(n, X, U, damping, actuated, tau):
+    """Write the torques of step n."""
+    nv = tau.size
     nq = X.shape[1] - nv
     for j in range(nv):
         tau[j] = -damping[j] * X[n, nq + j]
-    for i in range(nu):
-        u = U[n, i]
-        if K.shape[0] > 0:
-            total = 0.0
-            for j in range(nv):
-                d = X[n, j] - X_ref[n, j] if plain else dq[j]
-                total += K[n, i, j] * d + K[n, i, nv + j] * (X[n, nq + j] - X_ref[n, nq + j])
-            u -= total
-            if u < lower[n, i]:  # and not min and max, which may lose a NaN
-                u = lower[n, i]
-            elif u > upper[n, i]:
-                u = upper[n, i]
-            applied[n, i] = u
-        tau[actuated[i]] += u
+    for i in range(actuated.size):
+        tau[actuated[i]] += U[n, i]
 
 
-_euler = (_whole, _real, _flag, _given_vector, _vector, _vector, _vector, _matrix)
+@njit(types.void(_whole, _flag, _matrix, _matrix, _vector, *_law), cache=True)
+def follow(n, plain, X, U, dq, X_ref, K, limits):
+    """Replace the controls of step n by those of the law; `dq` is difference(q_ref, q) unless that is `plain`."""
+    nv = dq.size
+    nq = X.shape[1] - nv
+    for i in range(U.shape[1]):
+        total = 0.0
+        for j in range(nv):
+            d = X[n, j] - X_ref[n, j] if plain else dq[j]
+            total += K[n, i, j] * d + K[n, i, nv + j] * (X[n, nq + j] - X_ref[n, nq + j])
+        u, lower, upper = U[n, i] - total, limits[0, n, i], limits[1, n, i]
+        U[n, i] = lower if u < lower else upper if u > upper else u  # min and max may lose a NaN
+
+
+_euler = (_whole, _real, _flag, _vector, _vector, _vector, _vector, _matrix)
 
 
 @njit(_flag(*_euler), cache=True)
@@ -72,12 +72,25 @@ def euler(n, h, plain, a, q, v, dq, X):
     return good
 
 
-@njit(_flag(*_euler[:2], *_euler[3:], *_control[3:4], *_law, *_control[-3:]), cache=True)
-def euler_and_control(n, h, a, q, v, dq, X, U, X_ref, K, lower, upper, applied, damping, actuated, tau):
+_both = (*_euler[:2], *_euler[3:], _matrix)
+
+
+@njit(_flag(*_both, *_control[3:]), cache=True)
+def euler_and_control(n, h, a, q, v, dq, X, U, damping, actuated, tau):
     """The Euler step n of plain positions, then the torques of step n + 1: one call instead of two."""
     good = euler(n, h, True, a, q, v, dq, X)
     if good and n + 1 < U.shape[0]:
-        control(n + 1, True, X, U, dq, X_ref, K, lower, upper, applied, damping, actuated, tau)
+        control(n + 1, X, U, damping, actuated, tau)
+    return good
+
+
+@njit(_flag(*_both, *_law, *_control[3:]), cache=True)
+def euler_and_follow(n, h, a, q, v, dq, X, U, X_ref, K, limits, damping, actuated, tau):
+    """The same under feedback."""
+    good = euler(n, h, True, a, q, v, dq, X)
+    if good and n + 1 < U.shape[0]:
+        follow(n + 1, True, X, U, dq, X_ref, K, limits)
+        control(n + 1, X, U, damping, actuated, tau)
     return good
 
 

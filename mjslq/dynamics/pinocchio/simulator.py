@@ -48,13 +48,17 @@ class Recorder:
 
 
 class Law(NamedTuple):
-    """Feedback as the kernels take it, see there; K and `applied` have no rows where there is none."""
+    """Feedback as the kernels take it; see there."""
 
     X_ref: Array
     K: Array
-    lower: Array
-    upper: Array
-    applied: Array
+    limits: Array
+
+    @classmethod
+    def of(cls, feedback: Feedback) -> Law:
+        """The same law, in arrays that may be written to."""
+        X_ref, K, lower, upper = feedback.contiguous()
+        return cls(_writable(X_ref), _writable(K), np.stack([lower, upper]))
 
 
 class Simulator(ABC):
@@ -76,8 +80,6 @@ class Simulator(ABC):
         self._memory = {j: (data.oMi[j].rotation, data.oMi[j].translation) for j in readings.joints}
         self.q, self.v = np.zeros(model.nq), np.zeros(model.nv)
         self.tau, self.dq = np.zeros(model.nv), np.zeros(model.nv)
-        states, controls = np.empty((0, model.nq + model.nv)), np.empty((0, len(actuated)))
-        self._no_law = Law(states, np.empty((0, len(actuated), 2 * model.nv)), controls, controls, controls)
 
     @abstractmethod
     def step(self, n: int, X: Array, recorder: Recorder) -> bool:
@@ -98,21 +100,21 @@ class Simulator(ABC):
         N, nq, nv = len(U), self.model.nq, self.model.nv
         X = np.empty((N + 1, nq + nv))
         X[0], self.q[:], self.v[:] = x0, x0[:nq], x0[nq:]
-        law = self._no_law if feedback is None else Law(*feedback.contiguous(), np.empty_like(U))
+        given, law = U, None if feedback is None else Law.of(feedback)
+        U = _writable(np.ascontiguousarray(U)) if law is None else U.copy(order="C")
         recorder = Recorder(self._memory, N + 1)
         good = self.run(X, U, law, recorder)
         if good == N:
             pin.forwardKinematics(self.model, self.data, self.q)
             recorder.note(N)
         Y = self.readings.read(recorder.placements, N + 1)
-        applied = U if feedback is None else law.applied
         if good == N:
-            return Trajectory.unchecked(X, applied, Y, self.h)
+            return Trajectory.unchecked(X, U, Y, self.h)
         bad = good + 1
         X[bad:], Y[bad:] = np.nan, np.nan
-        if feedback is not None:
-            applied[bad:] = U[bad:]
-        return Trajectory.unchecked(X, applied, Y, self.h, bad)
+        if law is not None:
+            U[bad:] = given[bad:]
+        return Trajectory.unchecked(X, U, Y, self.h, bad)
 
     def step_each(self, X: Array, U: Array) -> tuple[Array, Array]:
         """One step from each knot; see `Dynamics.step_each`."""
@@ -120,19 +122,21 @@ class Simulator(ABC):
         ends, recorder = np.empty((N + 1, X.shape[1])), Recorder(self._memory, N + 1)
         for n in range(N):
             self.q[:], self.v[:] = X[n, :nq], X[n, nq:]
-            kernels.control(n, self.plain, X, U, self.dq, *self._no_law, self.damping, self.actuated, self.tau)
+            kernels.control(n, X, U, self.damping, self.actuated, self.tau)
             if not self.step(n, ends, recorder):
                 ends[n + 1] = np.nan
         pin.forwardKinematics(self.model, self.data, X[N, :nq].copy())
         recorder.note(N)
         return ends[1:], self.readings.read(recorder.placements, N + 1)
 
-    def run(self, X: Array, U: Array, law: Law, recorder: Recorder) -> int:
+    def run(self, X: Array, U: Array, law: Law | None, recorder: Recorder) -> int:
         """Simulate step by step; return how many steps went well."""
         for n in range(len(U)):
-            if len(law.K) and not self.plain:
-                self.dq[:] = pin.difference(self.model, law.X_ref[n, : self.q.size].copy(), self.q)
-            kernels.control(n, self.plain, X, U, self.dq, *law, self.damping, self.actuated, self.tau)
+            if law is not None:
+                if not self.plain:
+                    self.dq[:] = pin.difference(self.model, law.X_ref[n, : self.q.size], self.q)
+                kernels.follow(n, self.plain, X, U, self.dq, *law)
+            kernels.control(n, X, U, self.damping, self.actuated, self.tau)
             if not self.step(n, X, recorder):
                 return n
         return len(U)
@@ -157,17 +161,22 @@ class Simulator(ABC):
 class SemiImplicitEuler(Simulator):
     """The step at the head of this file. `model` has h D in its armature already."""
 
-    def run(self, X: Array, U: Array, law: Law, recorder: Recorder) -> int:
+    def run(self, X: Array, U: Array, law: Law | None, recorder: Recorder) -> int:
         """See `Simulator.run`; with plain positions a step is one call of Pinocchio's and one of ours."""
         if not self.plain or not len(U):
             return super().run(X, U, law, recorder)
         model, data, q, v, tau, world = self.model, self.data, self.q, self.v, self.tau, pin.Convention.WORLD
-        rest = (self._acceleration, q, v, self.dq, X, U, *law, self.damping, self.actuated, tau)
-        kernels.control(0, True, X, U, self.dq, *law, self.damping, self.actuated, tau)
+        rest: tuple[Any, ...] = (self._acceleration, q, v, self.dq, X, U)
+        torques, euler = (self.damping, self.actuated, tau), kernels.euler_and_control
+        if law is not None:
+            kernels.follow(0, True, X, U, self.dq, *law)
+            rest, euler = (*rest, *law), kernels.euler_and_follow
+        kernels.control(0, X, U, *torques)
+        rest += torques
         for n in range(len(U)):
             pin.aba(model, data, q, v, tau, world)
             recorder.note(n)
-            if not kernels.euler_and_control(n, self.h, *rest):
+            if not euler(n, self.h, *rest):
                 return n
         return len(U)
 
@@ -201,3 +210,8 @@ class SemiImplicitEuler(Simulator):
             A[:, curved], B[:, curved] = h * J1 @ A[:, nv:][:, curved], h * J1 @ B[:, nv:][:, curved]
             A[:, curved, curved] += J0
         return A, B
+
+
+def _writable(array: Array) -> Array:
+    """The array, or a copy of one that is read-only: calls of a kernel with such take longer than that, every step."""
+    return array if array.flags.writeable else array.copy()
