@@ -78,18 +78,21 @@ class Quadratic(Loss):
 
     def __init__(self, W: Array, scales: Array) -> None:
         self._W, self._scales = W, scales
+        uniform = len(W) == 1 and (scales == scales[0]).all()
+        self._same: Array | None = scales[0] * W[0] if uniform else None
+        """c W, where it is the same at all knots."""
 
     def value(self, r: Array) -> Array:
         """See `Loss.value`."""
-        return 0.5 * np.vecdot(r, weighted(self._scales, self._W, r))
+        return 0.5 * np.vecdot(r, self.slope(r))
 
     def total(self, r: Array) -> float:
         """See `Loss.total`."""
-        return 0.5 * float(np.vdot(r, weighted(self._scales, self._W, r)))
+        return 0.5 * float(np.vdot(r, self.slope(r)))
 
     def slope(self, r: Array) -> Array:
         """See `Loss.slope`."""
-        return weighted(self._scales, self._W, r)
+        return weighted(self._scales, self._W, r) if self._same is None else r @ self._same
 
     def curvature(self, r: Array) -> LossCurvature:
         """See `Loss.curvature`."""
