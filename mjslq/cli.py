@@ -92,8 +92,8 @@ def solve(
     as_json: Json = False,
 ) -> None:
     """Solve a problem: a line an iteration while it works, a summary after."""
-    if save is not None and not save.absolute().parent.is_dir():
-        raise ValueError(f"cannot write {save}: there is no folder {save.parent}")
+    if save is not None:
+        _refuse_unwritable(save)
     _announce(quiet)
     from mjslq import problems
     from mjslq.optimize import ALIASES, METHODS, option_names
@@ -161,13 +161,15 @@ def check(
     from mjslq.reports.tables import console, table
     from mjslq.validation import count
 
+    count("steps", steps)
+    count("seed", seed, at_least=0)
     dynamics, x0 = _dynamics_of(what)
     screen = console()
     parts = table("part", "served by")
     for part, served in dynamics.support_report():
         parts.add_row(part, served)
     screen.print(parts)
-    trajectory = _random_motion(dynamics, x0, count("steps", steps), seed)
+    trajectory = _random_motion(dynamics, x0, steps, seed)
     found = dynamics.check_derivatives(trajectory)
     titles = ("Jacobian", "median error", "largest", "at step, row, column", "knots off")
     errors = table(*titles, caption="relative to the largest entry")
@@ -205,6 +207,7 @@ def compare(
     choose("problem", problem, problems.names())
     if plot is not None:
         choose("ending of a picture", plot.suffix, figures.FORMATS)
+        _refuse_unwritable(plot)
     parameters, options = _sort_settings(settings or [], problem, list(COMMON))
     stated = problems.get(problem, **parameters)
     titles = ("method", "status", "iterations", "rollouts", "seconds", "cost", "|gradient|")
@@ -242,8 +245,8 @@ def reproduce(
     from mjslq.reports.tables import StreamedTable
     from mjslq.validation import choose
 
-    if plot is not None and not plot.is_dir() and not plot.absolute().parent.is_dir():
-        raise ValueError(f"cannot write {plot}: there is no folder {plot.parent}")
+    if plot is not None and not plot.is_dir():
+        _refuse_unwritable(plot)
     for paper in [choose("paper", paper, reproduce.PAPERS) for paper in papers or reproduce.PAPERS]:
         table, section = StreamedTable((paper, 5), ("paper", 5), ("here", 6), ("verdict", 7)), ""
         for row in reproduce.PAPERS[paper]():
@@ -277,6 +280,14 @@ def bench(
         print(json.dumps({"cases": [row.as_dict() for row in rows], "growth": growth}))
     else:
         tables.benchmark(rows, growth)
+
+
+def _refuse_unwritable(file: Path) -> None:
+    """Refuse, before hours of work, a file that cannot be written after them."""
+    if file.is_dir():
+        raise ValueError(f"cannot write {file}: it is a folder")
+    if not file.absolute().parent.is_dir():
+        raise ValueError(f"cannot write {file}: there is no folder {file.parent}")
 
 
 def _default_method() -> str:

@@ -102,7 +102,7 @@ def _plain(value: Any) -> Any:
 
 def benchmark(rows: list[Row], growth: dict[str, dict[int, float]]) -> None:
     """Print what was measured: a table of the phases, one of the ratios, and how things grow."""
-    screen = console(132)
+    screen = console(150)
     phases = table(
         "case", "N", "nx", "nu", "rollout", "transition", "ours", "sweep", "iteration", "rollouts each",
         "mj_step", "mj_inverse", "mjd_transitionFD", title="milliseconds over the horizon",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time as clock
 from collections.abc import Sequence
@@ -60,6 +61,8 @@ class Player:
         self._beside = tuple(beside)
         self._host = host
         self._wanted_port = count("port", port)
+        if port > 65535:
+            raise ValueError(f"port must be at most 65535, got {port}")
         self._playback = Playback(float(result.trajectory.times[-1]), playing=autoplay)
         self._model = None if result.scene is None else model_from_mjb(result.scene.model)
         self._trajectory = result.trajectory
@@ -132,6 +135,7 @@ class Player:
             if self._server is not None:
                 return
             self._ended.clear()
+            _refuse_foreign_host(self._host)
             with quiet():
                 self._server = viser.ViserServer(self._host, self._wanted_port, label="mjslq", verbose=False)
             try:
@@ -327,6 +331,16 @@ class Player:
                 last = now
                 if moved or not self._playback.playing:
                     self._refresh()
+
+
+def _refuse_foreign_host(host: str) -> None:
+    """Refuse an address that is none of this machine's, at which Viser would wait for ever."""
+    try:
+        family, kind, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as trial:
+            trial.bind(address)
+    except OSError as error:
+        raise ValueError(f"the viewer cannot listen at {host!r}: {error.strerror or error}") from None
 
 
 def _nearest_iterate(result: Result) -> int | None:

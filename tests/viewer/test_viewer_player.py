@@ -138,6 +138,14 @@ def test_what_is_not_a_result_is_refused() -> None:
         Player(cast(Any, {}))
 
 
+def test_addresses_that_cannot_be_listened_at_are_refused(arm: Result) -> None:
+    with pytest.raises(ValueError, match="port must be at most 65535, got 99999"):
+        Player(arm, port=99999)
+    for host in ("192.0.2.1", "no.such.host.invalid"):
+        with pytest.raises(ValueError, match=f"cannot listen at '{host}'"), Player(arm, host):
+            pass
+
+
 def test_view_prints_the_address_in_use(arm: Result, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
