@@ -112,7 +112,7 @@ def eliminate(S, rows, column, last, size, work):
 
 @njit(cache=True, nogil=True)
 def merge(T, S, top, rows, shift, work):
-    """Bring upper triangular T and the rows S[top:rows, shift:] into T, upper triangular, with T'T kept."""
+    """Bring upper triangular T and the rows S[top:rows, shift:] into T, upper triangular; the sum of squares stays."""
     n = T.shape[0]
     for j in range(n):
         largest, where = abs(T[j, j]), -1
@@ -142,30 +142,31 @@ def solve_upper(T, first, last, X, columns):
 
 @njit(cache=True, nogil=True)
 def cholesky_rows(S, F):
-    """Write upper triangular F with F'F = S, S positive semidefinite; S (its upper half) is used up.
+    """Overwrite F, whose upper half is that of S, with upper triangular rows F'F = S, S positive semidefinite.
 
-    Rows of F may be zero. False where a pivot is too small to tell, and S left as it is then is for
-    `pivoted_cholesky_rows` with a fresh copy.
+    Rows of F may be zero. False where a pivot is too small to tell whether it is: `pivoted_cholesky_rows` can.
     """
     n = S.shape[0]
     for j in range(n):
-        F[j, j] = S[j, j]  # the diagonal entries, to compare pivots with
-    for j in range(n):
-        given, pivot = F[j, j], S[j, j]
+        four = j // 4 * 4  # four rows at a time keep F[j] in registers
+        for i in range(0, four, 4):
+            a, b, c, d = F[i, j], F[i + 1, j], F[i + 2, j], F[i + 3, j]
+            for k in range(j, n):
+                F[j, k] -= a * F[i, k] + b * F[i + 1, k] + c * F[i + 2, k] + d * F[i + 3, k]
+        for i in range(four, j):
+            a = F[i, j]
+            for k in range(j, n):
+                F[j, k] -= a * F[i, k]
+        pivot, given = F[j, j], S[j, j]
         if pivot > SEMIDEFINITE * given:
             inverse = 1.0 / math.sqrt(pivot)
             for k in range(j, n):
-                F[j, k] = S[j, k] * inverse
-            for i in range(j + 1, n):
-                factor = F[j, i]
-                if factor != 0.0:
-                    for k in range(i, n):
-                        S[i, k] -= factor * F[j, k]
+                F[j, k] *= inverse
         else:
             if pivot < -INDEFINITE * given or not np.isfinite(pivot):
                 return False
             for k in range(j + 1, n):
-                if abs(S[j, k]) > SEMIDEFINITE * math.sqrt(max(given, 0.0) * max(F[k, k], 0.0)):
+                if abs(F[j, k]) > SEMIDEFINITE * math.sqrt(max(given, 0.0) * max(S[k, k], 0.0)):
                     return False
             F[j, j:] = 0.0
     return True
@@ -226,20 +227,30 @@ def _reflect(head, shift, S, first, last, column, end, work):
     inverse = 1.0 / (-beta * top)  # 2 / v'v for v = (top, column)
     for j in range(column + 1, end):
         work[j] = top * head[j - shift]
-    for i in range(first, last):
-        v = S[i, column]
-        if v != 0.0:
-            for j in range(column + 1, end):
-                work[j] += v * S[i, j]
+    four = first + (last - first) // 4 * 4  # four rows at a time keep `work` in registers
+    for i in range(first, four, 4):
+        a, b, c, d = S[i, column], S[i + 1, column], S[i + 2, column], S[i + 3, column]
+        for j in range(column + 1, end):
+            work[j] += a * S[i, j] + b * S[i + 1, j] + c * S[i + 2, j] + d * S[i + 3, j]
+    for i in range(four, last):
+        a = S[i, column]
+        for j in range(column + 1, end):
+            work[j] += a * S[i, j]
     head[column - shift] = beta
     for j in range(column + 1, end):
         work[j] *= inverse
         head[j - shift] -= top * work[j]
-    for i in range(first, last):
-        v = S[i, column]
-        if v != 0.0:
-            for j in range(column + 1, end):
-                S[i, j] -= v * work[j]
+    for i in range(first, four, 4):
+        a, b, c, d = S[i, column], S[i + 1, column], S[i + 2, column], S[i + 3, column]
+        for j in range(column + 1, end):
+            S[i, j] -= a * work[j]
+            S[i + 1, j] -= b * work[j]
+            S[i + 2, j] -= c * work[j]
+            S[i + 3, j] -= d * work[j]
+    for i in range(four, last):
+        a = S[i, column]
+        for j in range(column + 1, end):
+            S[i, j] -= a * work[j]
 
 
 @njit(cache=True, nogil=True)

@@ -47,8 +47,8 @@ T_1 w_1 = -y_1 with y_1 the transformed offsets (v+ + E+ c, -d), the others of w
 
 At n = 0 the rows [E; E_0] and [W] determine x_0. Forth go the trajectory, under the feedback, and the multipliers: at
 each step those of the pivot rows follow from the derivative by the controls, those of the carried rows are psi_n, and
-the transposed transformation turns both into mu_n and psi_{n+1}. The controls may also be had from psi alone (3.108), but
-without feedback: on unstable dynamics that ends 1e8 from where it should, the feedback 1e-15.
+the transposed transformation turns both into mu_n and psi_{n+1}. The controls may also be had from psi alone (3.108),
+but without feedback: on unstable dynamics that ends 1e8 from where it should, the feedback 1e-15.
 
 Where a dependent row contradicts those it depends on, the transposed transformation of what is left of it tells which
 these are: rows with multipliers that combine to zero on the left, and not on the right.
@@ -323,7 +323,7 @@ def solve(
     >>> found = solve(problem, path, terminal, initial)
     >>> found.U.ravel().round(12)
     array([0.6, 0.2])
-    >>> found.X[:, 1].round(12)
+    >>> found.X[:, 1].round(12) + 0.0
     array([0. , 0.6, 0.8])
     >>> round(found.cost, 12)
     0.2

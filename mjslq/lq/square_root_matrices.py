@@ -14,6 +14,7 @@ from numba import njit
 
 from mjslq.lq.dense import multiply
 from mjslq.lq.householder import (
+    SINGULAR,
     cholesky_rows,
     eliminate,
     eliminate_hard,
@@ -74,82 +75,93 @@ def factorize_stages(lq, hard, weighted, f):
     N, nx, nu = lq.B.shape
     tall = 2 * (nx + nu) + (weighted.start[1:] - weighted.start[:-1]).max()
     S, block = np.empty((tall, nu + nx)), np.empty((f.h.shape[1], nu + nx))
-    pivot_rows, weights = np.empty((nu, nu + nx)), np.empty((2, nu + nx, nu + nx))
-    work, size, AB = np.empty(nu + nx), np.empty(nu), np.empty((nx, nu + nx))
-    product, carried_rows = np.empty((nx, nu + nx)), np.empty((f.E.shape[1], nu + nx))
-    f.carried[N] = 0
-    f.W[N] = 0.0
-    if not _terminal(lq, hard, weighted, f, S, block, weights, work):
+    H, F, Z = np.zeros((nu + nx, nu + nx)), np.empty((nu + nx, nu + nx)), np.empty((nu, nu + nx))
+    AB, product = np.empty((nx, nu + nx)), np.empty((max(nx, f.E.shape[1]), nu + nx))
+    work, size = np.empty(nu + nx), np.empty(nu)
+    if not _terminal(lq, hard, weighted, f, H, F, S, block, work):
         return N
     for n in range(N - 1, -1, -1):
         AB[:, :nu] = lq.B[n]
         AB[:, nu:] = lq.A[n]
-        order, rank = f.order[n], 0
-        for i in range(nu):
-            order[i] = i
-        rows = f.carried[n + 1] + hard.start[n + 1] - hard.start[n]
-        if rows:
-            _gather(hard, f, n, AB, carried_rows, block)
-            rank, f.carried[n] = eliminate_hard(block, rows, nu, DEPENDENT, order, f.V[n], f.h[n])
-            for i in range(f.carried[n]):
-                f.E[n, i] = block[rank + i, nu:]
+        order = f.order[n]
+        rank = _hard_stage(hard, f, n, AB, product, block, order)
+        H[:nu, :nu] = lq.R[n]
+        H[:nu, nu:] = lq.M[n]
+        H[nu:, nu:] = lq.Q[n]
+        multiply(f.W[n + 1], AB, S[:nx])
+        rows = _stage_rows(H, F, S, nx, nu)
+        if rows < 0:
+            return n
+        rows = _add_weighted(weighted, n, S, rows, nu)
+        if rank == 0:
+            _column_norms(F, nu, S, rows, size)
+            merge(F, S, 0, rows, 0, work)
+            for i in range(nu):
+                if not abs(F[i, i]) > SINGULAR * size[i]:
+                    return n
+            _gains(block, F, rank, order, f.T[n], f.K[n], Z)
         else:
-            f.carried[n] = 0
-        f.pivots[n] = rank
-        multiply(f.W[n + 1], AB, product)
-        S[:nx] = product
-        dense = _stage_rows(lq.Q[n], lq.R[n], lq.M[n], S, nx, nu, weights, f.W[n])
-        if dense < 0:
-            return n
-        dense = _add_weighted(weighted, n, S, dense, nu)
-        if rank:
-            _permute(S, dense, order, work)
-        _column_norms(S, dense, nu, size)
-        if rank:
-            pivot_rows[:rank] = block[:rank]
-            solve_upper(pivot_rows, 0, rank, pivot_rows, rank)
-            shear(S, dense, pivot_rows, rank)
-        if not eliminate(S, dense, rank, nu, size, work):
-            return n
-        merge(f.W[n], S, nu - rank, dense, nu, work)
-        _gains(block, S, rank, order, f.T[n], f.K[n], pivot_rows)
+            S[rows : rows + nu] = F[:nu]
+            rows += nu
+            _permute(S, rows, order, work)
+            _column_norms(F, 0, S, rows, size)
+            Z[:rank] = block[:rank]
+            solve_upper(Z, 0, rank, Z, rank)
+            shear(S, rows, Z, rank)
+            if not eliminate(S, rows, rank, nu, size, work):
+                return n
+            merge(F[nu:, nu:], S, nu - rank, rows, nu, work)
+            _gains(block, S, rank, order, f.T[n], f.K[n], Z)
+        _take_upper(F, nu, f.W[n])
     return -1
 
 
 @njit(cache=True, nogil=True)
-def _terminal(lq, hard, weighted, f, S, block, weights, work):
-    """Cost-to-go at N: rows of Q_N, terminal rows."""
+def _terminal(lq, hard, weighted, f, H, F, S, block, work):
+    """Cost-to-go at N: rows of Q_N, terminal rows. False when Q_N is not positive semidefinite."""
     N, nx, nu = lq.B.shape
-    zeros_R, zeros_M = np.zeros((nu, nu)), np.zeros((nu, nx))
-    dense = _stage_rows(lq.Q[N], zeros_R, zeros_M, S, 0, nu, weights, f.W[N])
-    if dense < 0:
+    H[nu:, nu:] = lq.Q[N]
+    rows = _stage_rows(H, F, S, 0, nu)
+    if rows < 0:
         return False
-    dense = _add_weighted(weighted, N, S, dense, nu)
-    merge(f.W[N], S, 0, dense, nu, work)
-    rows = hard.start[N + 1] - hard.start[N]
-    if rows:
-        none = np.empty(nu, np.int64)
-        _gather(hard, f, N, np.empty((0, 0)), np.empty((0, 0)), block)
-        f.pivots[N], f.carried[N] = eliminate_hard(block, rows, nu, DEPENDENT, none, f.V[N], f.h[N])
-        for i in range(f.carried[N]):
-            f.E[N, i] = block[i, nu:]
-    else:
-        f.pivots[N] = 0
+    rows = _add_weighted(weighted, N, S, rows, nu)
+    merge(F[nu:, nu:], S, 0, rows, nu, work)
+    _take_upper(F, nu, f.W[N])
+    none = np.empty((0, 0))
+    _hard_stage(hard, f, N, none, none, block, np.empty(nu, np.int64))
     return True
 
 
 @njit(cache=True, nogil=True)
-def _gather(hard, f, n, AB, carried_rows, block):
+def _hard_stage(hard, f, n, AB, product, block, order):
+    """Hard rows of step n into `block`, transformed; returns how many controls they determine."""
+    nu, rank, carried = order.size, 0, 0
+    for i in range(nu):
+        order[i] = i
+    rows = hard.start[n + 1] - hard.start[n]
+    if n + 1 < f.carried.size:
+        rows += f.carried[n + 1]
+    if rows:
+        _gather(hard, f, n, AB, product, block)
+        rank, carried = eliminate_hard(block, rows, nu, DEPENDENT, order, f.V[n], f.h[n])
+        for i in range(carried):
+            f.E[n, i] = block[rank + i, nu:]
+    f.pivots[n], f.carried[n] = rank, carried
+    return rank
+
+
+@njit(cache=True, nogil=True)
+def _gather(hard, f, n, AB, product, block):
     """Write the hard rows of step n, [controls | states] of norm one: those carried back, then its own."""
     nu, count = hard.C.shape[1], 0
     if n + 1 < f.carried.size:
         count = f.carried[n + 1]
         if count:
             largest = math.sqrt((AB * AB).sum())
-            multiply(f.E[n + 1, :count], AB, carried_rows[:count])
+            multiply(f.E[n + 1, :count], AB, product[:count])
             for i in range(count):
                 row = f.E[n + 1, i]
-                block[i] = carried_rows[i]
+                block[i] = product[i]
                 f.norm[n, i] = _unit(block[i], largest * math.sqrt((row * row).sum()))
     for m in range(hard.start[n], hard.start[n + 1]):
         i = count + m - hard.start[n]
@@ -170,36 +182,35 @@ def _unit(row, size):
 
 
 @njit(cache=True, nogil=True)
-def _stage_rows(Q, R, M, S, first, nu, weights, W):
-    """Write rows whose squares make up the stage cost: into S from row `first` on, and upper triangular ones into W.
+def _stage_rows(H, F, S, first, nu):
+    """Write rows whose squares make up z'H z: upper triangular ones into F, or else others into S, from `first` on.
 
-    Returns the end of the rows in S, -1 when the weights are not positive semidefinite.
+    The upper half of H is read. Returns the end of the rows in S, -1 when H is not positive semidefinite.
     """
-    nx = W.shape[0]
-    copy, F = weights[0], weights[1]
-    for attempt in range(2):
-        copy[:nu, :nu] = R
-        copy[:nu, nu:] = M
-        copy[nu:, nu:] = Q
-        if attempt == 0 and cholesky_rows(copy, F):
-            for i in range(nu):
-                for j in range(i):
-                    S[first + i, j] = 0.0
-                for j in range(i, nu + nx):
-                    S[first + i, j] = F[i, j]
-            for i in range(nx):
-                for j in range(i):
-                    W[i, j] = 0.0
-                for j in range(i, nx):
-                    W[i, j] = F[nu + i, nu + j]
-            return first + nu
-    copy[nu:, :nu] = M.T
-    rank = pivoted_cholesky_rows(copy, F)
+    n = H.shape[0]
+    for i in range(n):
+        for j in range(i):
+            F[i, j] = 0.0
+        for j in range(i, n):
+            F[i, j] = H[i, j]
+    if cholesky_rows(H, F):
+        return first
+    full = np.triu(H) + np.triu(H, 1).T
+    rank = pivoted_cholesky_rows(full, F)
     if rank < 0:
         return -1
     S[first : first + rank] = F[:rank]
-    W[:, :] = 0.0
+    F[:, :] = 0.0
     return first + rank
+
+
+@njit(cache=True, nogil=True)
+def _take_upper(F, nu, W):
+    for i in range(W.shape[0]):
+        for j in range(i):
+            W[i, j] = 0.0
+        for j in range(i, W.shape[0]):
+            W[i, j] = F[nu + i, nu + j]
 
 
 @njit(cache=True, nogil=True)
@@ -223,12 +234,16 @@ def _permute(S, rows, order, work):
 
 
 @njit(cache=True, nogil=True)
-def _column_norms(S, rows, nu, size):
+def _column_norms(F, rows, S, more, size):
+    """Norms of the control columns of F[:rows] and S[:more]."""
     size[:] = 0.0
     for i in range(rows):
-        for j in range(nu):
+        for j in range(size.size):
+            size[j] += F[i, j] * F[i, j]
+    for i in range(more):
+        for j in range(size.size):
             size[j] += S[i, j] * S[i, j]
-    for j in range(nu):
+    for j in range(size.size):
         size[j] = math.sqrt(size[j])
 
 
