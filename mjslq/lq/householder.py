@@ -82,6 +82,19 @@ def reflect_vector(V, h, count, rows, y, backward):
 
 
 @njit(cache=True, nogil=True)
+def reflect_variance(V, h, count, rows, variance):
+    """Variances of what `reflect_vector` makes of y[:rows], were its entries independent; their sum stays."""
+    for j in range(count):
+        total = 0.0
+        for i in range(j, rows):
+            total += V[j, i] * V[j, i] * variance[i]
+        for i in range(j, rows):
+            square = V[j, i] * V[j, i]
+            own = 1.0 - square / h[j]
+            variance[i] = own * own * variance[i] + square * (total - square * variance[i]) / (h[j] * h[j])
+
+
+@njit(cache=True, nogil=True)
 def shear(S, rows, N, rank):
     """Subtract multiples of the hard rows N = [I | .] from S[:rows], so that its first `rank` columns vanish."""
     width = S.shape[1]

@@ -87,6 +87,8 @@ __all__ = ["Factorization", "Infeasible", "PathRows", "Solution", "StateRows", "
 
 WIDE = 1e4
 """Spread of the squared pivots of T up to which rounding stays below 1e-11 without refinement."""
+SMALL = 1e-9
+"""Relative change by a refinement up to which no second one is made."""
 
 Initial: TypeAlias = StateRows | ArrayLike | Literal["free"] | None
 """Initial state: rows on it, the state itself (nx,), free, or zero (None)."""
@@ -195,11 +197,14 @@ class Factorization(NamedTuple):
         d, d_initial = self.rows.right_side(path, terminal), self.initial.right_side(initial)
         d_hard, d_weighted = d[self.rows.from_hard], d[self.rows.from_weighted]
         found = self._pass(problem, d_hard, d_weighted, d_initial, self.slack)
-        if refinements is None:
-            refinements = int(d_hard.size > 0 or _spread(self.factors.T) > WIDE)
-        for _ in range(count("refinements", refinements, 0)):
-            found = self._refined(problem, d_hard, d_weighted, d_initial, found)
-        k = found.U + np.einsum("nij,nj->ni", self.factors.K, found.X[:-1]) if refinements else found.k
+        wanted = int(d_hard.size > 0 or _spread(self.factors.T) > WIDE)
+        most = (2 * wanted) if refinements is None else count("refinements", refinements, 0)
+        for _ in range(most):
+            better = self._refined(problem, d_hard, d_weighted, d_initial, found)
+            change, found = max(np.abs(better.X - found.X).max(), np.abs(better.U - found.U).max()), better
+            if refinements is None and change <= SMALL * max(np.abs(found.X).max(), np.abs(found.U).max()):
+                break
+        k = found.U + np.einsum("nij,nj->ni", self.factors.K, found.X[:-1]) if most else found.k
         multipliers = self.rows.merged(found.hard, found.weighted)
         return Solution(
             found.X, found.U, self.factors.K, k, found.costates,
@@ -213,11 +218,11 @@ class Factorization(NamedTuple):
         f, hard, weighted = self.factors, self.rows.hard, self.rows.weighted
         (N, nu), nx = problem.r.shape, problem.q.shape[1]
         k, p, v = np.empty((N, nu)), np.empty((N + 1, nx)), np.zeros(f.E.shape[:2])
-        failed, y, largest = backward(problem, hard, weighted, d_hard, d_weighted, slack, f, k, p, v)
+        failed, y, variance = backward(problem, hard, weighted, d_hard, d_weighted, slack, f, k, p, v)
         if failed >= 0:
             y[: f.pivots[failed] + f.carried[failed]] = 0.0
             raise Infeasible(failed, *self.rows.named(conflicting(hard, f, failed, y)))
-        start = self.initial.solve(f, v[0], p[0], d_initial, largest, slack)
+        start = self.initial.solve(f, v[0], p[0], d_initial, variance, slack)
         if not isinstance(start, InitialState):
             raise self._contradiction_at_start(start)
         X, U, costates = np.empty((N + 1, nx)), np.empty((N, nu)), np.empty((N + 1, nx))
@@ -289,7 +294,8 @@ def solve(
         What may be left of the right side of a row that depends on others, in rows scaled to norm one, besides
         rounding.
     refinements : int
-        Rounds of iterative refinement. Unless given, one with hard rows or where pivots spread, none elsewhere.
+        Rounds of iterative refinement. Unless given, one with hard rows or where pivots spread, a second one where
+        the first changes much, none elsewhere.
 
     Returns
     -------

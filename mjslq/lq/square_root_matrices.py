@@ -119,7 +119,7 @@ def factorize_stages(lq, hard, weighted, f):
 @njit(cache=True, nogil=True)
 def _terminal(lq, hard, weighted, f, H, F, S, block, work):
     """Cost-to-go at N: rows of Q_N, terminal rows. False when Q_N is not positive semidefinite."""
-    N, nx, nu = lq.B.shape
+    N, _nx, nu = lq.B.shape
     H[nu:, nu:] = lq.Q[N]
     rows = _stage_rows(H, F, S, 0, nu)
     if rows < 0:

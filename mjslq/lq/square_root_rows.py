@@ -229,20 +229,21 @@ class InitialStage(NamedTuple):
         """The right-hand side, x_0 where that is given."""
         return self.d if d is None else as_array("initial", d, self.d.shape)
 
-    def solve(self, f: Factors, v: Array, p: Array, d: Array, largest: float, slack: float) -> InitialState | Array:
+    def solve(self, f: Factors, v: Array, p: Array, d: Array, variance: Array, slack: float) -> InitialState | Array:
         """Initial state and multipliers; what is left of the right side of the hard rows where they contradict."""
         e = int(f.carried[0])
         if self.given:
             rest = f.E[0, :e] @ d + v[:e]
-            size = largest + np.abs(d).max(initial=0.0)
-            if (np.abs(rest) > CONSISTENT * size + slack).any():
+            size = np.abs(f.E[0, :e]) @ np.abs(d) + np.abs(v[:e])
+            if (np.abs(rest) > CONSISTENT * size + np.sqrt(variance[:e]) + slack).any():
                 return rest
             return InitialState(d, np.zeros(f.E.shape[1]), np.zeros(len(d)))
         hard = self.scale == 0.0
         side = self.norm * np.concatenate([-v[:e], d[hard]])
         inside = self.U.T @ side
         rest = side - self.U @ inside
-        if (np.abs(rest) > CONSISTENT * max(largest, np.abs(side).max(initial=0.0)) + slack).any():
+        rounding = np.sqrt(variance[:e]) @ self.norm[:e]
+        if (np.abs(rest) > CONSISTENT * np.abs(side).max(initial=0.0) + rounding + slack).any():
             return rest * self.norm
         x = self.Vt.T @ (inside / self.s)
         g = self.Z.T @ self._gradient(f.W[0], p, d, x)

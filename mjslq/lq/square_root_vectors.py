@@ -5,14 +5,18 @@ Notation is that of `lq.square_root` and `lq.square_root_matrices`.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
 from mjslq.lq.dense import add_product, add_transposed_product
-from mjslq.lq.householder import reflect_vector
+from mjslq.lq.householder import reflect_variance, reflect_vector
 
 CONSISTENT = 1e-9
 """Right side left of a dependent row, relative to the others, up to which it is taken for rounding."""
+ROUNDING = 2e-13
+"""Relative standard deviation, on the safe side, of what a step adds to the right side of a row."""
 
 
 @njit(cache=True, nogil=True)
@@ -20,7 +24,7 @@ def backward(lq, hard, weighted, d_hard, d_weighted, slack, f, k, p, v):
     """Vector recursion: k, p and v.
 
     Returns the step at which a dependent row is not met, or -1; the offsets of the hard rows of that step, reflected;
-    and the largest offset so far.
+    and the variances of rounding of those carried to x_0.
     """
     N, nx, nu = lq.B.shape
     y = np.zeros(f.h.shape[1])
@@ -28,9 +32,9 @@ def backward(lq, hard, weighted, d_hard, d_weighted, slack, f, k, p, v):
     g, ordered = np.empty(nu), np.empty(nu)
     p[N] = lq.q[N]
     _weighted_gradient(weighted, d_weighted, N, shift, p[N], g)
-    largest, failed = _hard_offsets(hard, d_hard, f, N, y, gap, v, 0.0, slack)
-    if failed:
-        return N, y, largest
+    noise, variance = np.empty(y.size), np.zeros(f.E.shape[1])
+    if not _hard_offsets(hard, d_hard, f, N, y, gap, v, slack, noise, variance):
+        return N, y, variance
     for n in range(N - 1, -1, -1):
         gap[:] = lq.c[n]
         g[:] = lq.r[n]
@@ -38,9 +42,8 @@ def backward(lq, hard, weighted, d_hard, d_weighted, slack, f, k, p, v):
         shift[:] = 0.0
         T, order, rank = f.T[n], f.order[n], f.pivots[n]
         if f.carried[n + 1] + hard.start[n + 1] - hard.start[n]:
-            largest, failed = _hard_offsets(hard, d_hard, f, n, y, gap, v, largest, slack)
-            if failed:
-                return n, y, largest
+            if not _hard_offsets(hard, d_hard, f, n, y, gap, v, slack, noise, variance):
+                return n, y, variance
         if rank:
             for i in range(rank - 1, -1, -1):
                 for j in range(i + 1, rank):
@@ -64,16 +67,17 @@ def backward(lq, hard, weighted, d_hard, d_weighted, slack, f, k, p, v):
             k[n, order[i]] = shift[order[i]] - ordered[i]
             for j in range(nx):
                 p[n, j] -= f.K[n, i, j] * g[i]
-    return -1, y, largest
+    return -1, y, variance
 
 
 @njit(cache=True, nogil=True)
-def _hard_offsets(hard, d, f, n, y, gap, v, largest, slack):
+def _hard_offsets(hard, d, f, n, y, gap, v, slack, noise, variance):
     """Offsets of the hard rows of step n into y, reflected, those of the carried ones into v_n.
 
-    Returns the largest offset so far, and whether a dependent row is not met.
+    Returns whether every dependent row is met but for rounding, of which `variance` (those of the carried rows, from
+    step to step) is an estimate, and `noise` room for that of y.
     """
-    count, N = 0, f.carried.size - 1
+    count, N, largest = 0, f.carried.size - 1, 0.0
     if n < N:
         count = f.carried[n + 1]
         for i in range(count):
@@ -82,20 +86,24 @@ def _hard_offsets(hard, d, f, n, y, gap, v, largest, slack):
                 total += f.E[n + 1, i, j] * gap[j]
                 size += abs(f.E[n + 1, i, j] * gap[j])
             y[i] = total * f.norm[n, i]
+            noise[i] = (variance[i] + (ROUNDING * size) ** 2) * f.norm[n, i] ** 2
             largest = max(largest, size * f.norm[n, i])
     for m in range(hard.start[n], hard.start[n + 1]):
         i = count + m - hard.start[n]
         y[i] = -d[m] * f.norm[n, i]
+        noise[i] = (ROUNDING * y[i]) ** 2
         largest = max(largest, abs(y[i]))
     rows = count + hard.start[n + 1] - hard.start[n]
     used = f.pivots[n] + f.carried[n]
     reflect_vector(f.V[n], f.h[n], used, rows, y, False)
+    reflect_variance(f.V[n], f.h[n], used, rows, noise)
     for i in range(f.carried[n]):
         v[n, i] = y[f.pivots[n] + i]
-    failed = False
+        variance[i] = noise[f.pivots[n] + i]
+    met = True
     for i in range(used, rows):
-        failed = failed or not abs(y[i]) <= CONSISTENT * largest + slack
-    return largest, failed
+        met = met and abs(y[i]) <= CONSISTENT * largest + math.sqrt(noise[i]) + slack
+    return met
 
 
 @njit(cache=True, nogil=True)
