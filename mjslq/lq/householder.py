@@ -68,7 +68,7 @@ def eliminate_hard(block, rows, nu, tolerance, order, V, h):
     return rank, carried
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})  # sums in any order, so that they vectorize
 def reflect_vector(V, h, count, rows, y, backward):
     """Apply the stored reflections to y[:rows], or, `backward`, their transposed product."""
     for step in range(count):

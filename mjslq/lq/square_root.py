@@ -87,6 +87,8 @@ __all__ = ["Factorization", "Infeasible", "PathRows", "Solution", "StateRows", "
 
 WIDE = 1e4
 """Spread of the squared pivots of T up to which rounding stays below 1e-11 without refinement."""
+SHRUNK = 10.0
+"""Factor by which a hard row may shrink in one step without refinement."""
 SMALL = 1e-9
 """Relative change by a refinement up to which no second one is made."""
 
@@ -161,6 +163,8 @@ class Factorization(NamedTuple):
     factors: Factors
     initial: InitialStage
     slack: float
+    rounds: int
+    """Rounds of refinement that rounding asks for, 0 or 1."""
 
     def solve(
         self,
@@ -197,8 +201,7 @@ class Factorization(NamedTuple):
         d, d_initial = self.rows.right_side(path, terminal), self.initial.right_side(initial)
         d_hard, d_weighted = d[self.rows.from_hard], d[self.rows.from_weighted]
         found = self._pass(problem, d_hard, d_weighted, d_initial, self.slack)
-        wanted = int(d_hard.size > 0 or _spread(self.factors.T) > WIDE)
-        most = (2 * wanted) if refinements is None else count("refinements", refinements, 0)
+        most = 2 * self.rounds if refinements is None else count("refinements", refinements, 0)
         for _ in range(most):
             better = self._refined(problem, d_hard, d_weighted, d_initial, found)
             change, found = max(np.abs(better.X - found.X).max(), np.abs(better.U - found.U).max()), better
@@ -357,7 +360,7 @@ def factorize(
     failed = factorize_stages(problem, rows.hard, rows.weighted, factors)
     if failed >= 0:
         raise NotPositiveDefinite(failed)
-    return Factorization(problem, rows, factors, initial_stage(initial, factors), slack)
+    return Factorization(problem, rows, factors, initial_stage(initial, factors), slack, _rounds(factors))
 
 
 def _checked(problem: LQProblem) -> LQProblem:
@@ -385,7 +388,9 @@ def _space(start: Array, N: int, nx: int, nu: int) -> Factors:
     )  # fmt: skip
 
 
-def _spread(T: Array) -> float:
-    """Largest squared pivot over the least."""
-    pivots = np.abs(T.diagonal(axis1=1, axis2=2))
-    return float((pivots.max() / pivots.min()) ** 2)
+def _rounds(f: Factors) -> int:
+    """Whether refinement matters: pivots of T spread, or hard rows shrink on their way back."""
+    pivots = np.abs(f.T.diagonal(axis1=1, axis2=2))
+    is_carried = np.arange(f.norm.shape[1]) < f.carried[1:, None]
+    shrinking = f.norm[:-1].max(where=is_carried, initial=0.0)
+    return int((pivots.max() / pivots.min()) ** 2 > WIDE or shrinking > SHRUNK)

@@ -84,7 +84,13 @@ def factorize_stages(lq, hard, weighted, f):
         AB[:, :nu] = lq.B[n]
         AB[:, nu:] = lq.A[n]
         order = f.order[n]
-        rank = _hard_stage(hard, f, n, AB, product, block, order)
+        rank = 0
+        if f.carried[n + 1] + hard.start[n + 1] - hard.start[n]:
+            rank = _hard_stage(hard, f, n, AB, product, block, order)
+        else:
+            f.pivots[n], f.carried[n] = 0, 0
+            for i in range(nu):
+                order[i] = i
         H[:nu, :nu] = lq.R[n]
         H[:nu, nu:] = lq.M[n]
         H[nu:, nu:] = lq.Q[n]
@@ -92,7 +98,8 @@ def factorize_stages(lq, hard, weighted, f):
         rows = _stage_rows(H, F, S, nx, nu)
         if rows < 0:
             return n
-        rows = _add_weighted(weighted, n, S, rows, nu)
+        if weighted.start[n + 1] > weighted.start[n]:
+            rows = _add_weighted(weighted, n, S, rows, nu)
         if rank == 0:
             _column_norms(F, nu, S, rows, size)
             merge(F, S, 0, rows, 0, work)

@@ -41,9 +41,9 @@ def backward(lq, hard, weighted, d_hard, d_weighted, slack, f, k, p, v):
         p[n] = lq.q[n]
         shift[:] = 0.0
         T, order, rank = f.T[n], f.order[n], f.pivots[n]
-        if f.carried[n + 1] + hard.start[n + 1] - hard.start[n]:
-            if not _hard_offsets(hard, d_hard, f, n, y, gap, v, slack, noise, variance):
-                return n, y, variance
+        rows = f.carried[n + 1] + hard.start[n + 1] - hard.start[n]
+        if rows and not _hard_offsets(hard, d_hard, f, n, y, gap, v, slack, noise, variance):
+            return n, y, variance
         if rank:
             for i in range(rank - 1, -1, -1):
                 for j in range(i + 1, rank):
@@ -53,7 +53,8 @@ def backward(lq, hard, weighted, d_hard, d_weighted, slack, f, k, p, v):
             add_product(lq.B[n], shift, gap)
             add_product(lq.R[n], shift, g)
             add_transposed_product(lq.M[n], shift, p[n])
-        _weighted_gradient(weighted, d_weighted, n, shift, p[n], g)
+        if weighted.start[n + 1] > weighted.start[n]:
+            _weighted_gradient(weighted, d_weighted, n, shift, p[n], g)
         beta[:] = p[n + 1]
         WB[:] = 0.0
         _add_upper(f.W[n + 1], gap, WB)
@@ -136,7 +137,7 @@ def _normal_equations(T, rank, g):
         g[i] /= T[i, i]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, fastmath={"contract", "reassoc"})  # sums in any order, so that they vectorize
 def _add_upper(W, x, out):
     """Out += W x, W upper triangular."""
     for i in range(x.size):
@@ -159,7 +160,8 @@ def forward(lq, hard, weighted, d_weighted, f, k, p, X, U, costates, psi, mu_har
     """Trajectory from X[0] under the feedback, and multipliers from psi[0]."""
     N, nx, nu = lq.B.shape
     w, rho, Wx = np.zeros(f.h.shape[1]), np.empty(nu), np.empty(nx)
-    _costate(f, p, 0, X, psi, Wx, costates)
+    _costate(f.W[0], p[0], X[0], Wx, costates[0])
+    add_transposed_product(f.E[0], psi[0], costates[0])
     for n in range(N):
         for i in range(nu):
             total = k[n, i]
@@ -169,8 +171,9 @@ def forward(lq, hard, weighted, d_weighted, f, k, p, X, U, costates, psi, mu_har
         X[n + 1] = lq.c[n]
         add_product(lq.A[n], X[n], X[n + 1])
         add_product(lq.B[n], U[n], X[n + 1])
-        _costate(f, p, n + 1, X, psi, Wx, costates)  # without what the hard rows bring
-        _weighted_multipliers(weighted, d_weighted, n, X[n], U[n], mu_weighted)
+        _costate(f.W[n + 1], p[n + 1], X[n + 1], Wx, costates[n + 1])
+        if weighted.start[n + 1] > weighted.start[n]:
+            _weighted_multipliers(weighted, d_weighted, n, X[n], U[n], mu_weighted)
         if f.carried[n + 1] + hard.start[n + 1] - hard.start[n]:
             if f.pivots[n]:
                 rho[:] = lq.r[n]
@@ -181,24 +184,19 @@ def forward(lq, hard, weighted, d_weighted, f, k, p, X, U, costates, psi, mu_har
                     for j in range(nu):
                         rho[j] += weighted.C[m, j] * mu_weighted[m]
             _hard_multipliers(hard, f, n, rho, w, psi, mu_hard)
-            for i in range(f.carried[n + 1]):
-                for j in range(nx):
-                    costates[n + 1, j] += f.E[n + 1, i, j] * psi[n + 1, i]
+            if f.carried[n + 1]:
+                add_transposed_product(f.E[n + 1], psi[n + 1], costates[n + 1])
     _weighted_multipliers(weighted, d_weighted, N, X[N], U[N - 1], mu_weighted)
     _hard_multipliers(hard, f, N, rho, w, psi, mu_hard)
 
 
 @njit(cache=True, nogil=True)
-def _costate(f, p, n, X, psi, Wx, costates):
-    """W'W x + p, and E'psi at the initial state."""
-    costates[n] = p[n]
+def _costate(W, p, x, Wx, out):
+    """W'W x + p, which is the costate but for what the hard rows bring."""
+    out[:] = p
     Wx[:] = 0.0
-    _add_upper(f.W[n], X[n], Wx)
-    _add_upper_transposed(f.W[n], Wx, costates[n])
-    if n == 0:
-        for i in range(f.carried[0]):
-            for j in range(Wx.size):
-                costates[0, j] += f.E[0, i, j] * psi[0, i]
+    _add_upper(W, x, Wx)
+    _add_upper_transposed(W, Wx, out)
 
 
 @njit(cache=True, nogil=True)
@@ -253,8 +251,10 @@ def residual(lq, hard, weighted, d_hard, d_weighted, X, U, costates, mu_hard, mu
             add_product(lq.A[n], X[n], rest.c[n])
             add_product(lq.B[n], U[n], rest.c[n])
         last = min(n, N - 1)
-        _rows_residual(hard, d_hard, n, X[n], U[last], mu_hard, gap, rest.r[last], r_hard)
-        _rows_residual(weighted, d_weighted, n, X[n], U[last], mu_weighted, gap, rest.r[last], r_weighted)
+        if hard.start[n + 1] > hard.start[n]:
+            _rows_residual(hard, d_hard, n, X[n], U[last], mu_hard, gap, rest.r[last], r_hard)
+        if weighted.start[n + 1] > weighted.start[n]:
+            _rows_residual(weighted, d_weighted, n, X[n], U[last], mu_weighted, gap, rest.r[last], r_weighted)
 
 
 @njit(cache=True, nogil=True)
