@@ -119,7 +119,8 @@ class Sorting(NamedTuple):
 
     def named(self, hard: Array) -> tuple[list[Row], Array]:
         """Rows with more than negligible multipliers, and these."""
-        sizes = np.abs(hard) * np.hypot(np.linalg.norm(self.hard.H, axis=1), np.linalg.norm(self.hard.C, axis=1))
+        norms = np.hypot(np.linalg.norm(self.hard.H, axis=1), np.linalg.norm(self.hard.C, axis=1))
+        sizes = np.abs(hard) * np.where(norms > 0.0, norms, 1.0)
         chosen = np.flatnonzero(sizes > NAMED * sizes.max(initial=0.0))
         rows = []
         for i in chosen:
