@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mjslq import costs as costs
+    from mjslq import lq as lq
     from mjslq import problems as problems
     from mjslq import starts as starts
     from mjslq.bounds import Bounds as Bounds
@@ -43,6 +44,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "costs": "mjslq.costs",
+    "lq": "mjslq.lq",
     "problems": "mjslq.problems",
     "starts": "mjslq.starts",
     "Bounds": "mjslq.bounds",
@@ -67,7 +69,7 @@ _HOME = {
     "view": "mjslq.viewer",
 }
 
-_MODULES = ("costs", "problems", "starts")
+_MODULES = ("costs", "lq", "problems", "starts")
 """Names that are modules themselves."""
 
 __all__ = ["__version__", *_HOME]
