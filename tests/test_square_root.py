@@ -9,11 +9,11 @@ import pytest
 import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_lq import random_problem, relative
 
 from mjslq.lq import householder, riccati, square_root
 from mjslq.lq.problem import LQProblem, NotPositiveDefinite
 from mjslq.lq.square_root import Infeasible, PathRows, StateRows, Unbounded, factorize, solve
-from test_lq import random_problem, relative
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -144,9 +144,7 @@ def trajectory(solution):
 
 def multipliers(solution):
     """In the order of the rows of the twin."""
-    return np.concatenate(
-        [solution.costates[1:].ravel(), solution.mu, solution.nu_terminal, solution.nu_initial]
-    )
+    return np.concatenate([solution.costates[1:].ravel(), solution.mu, solution.nu_terminal, solution.nu_initial])
 
 
 def test_sweep_is_dense_first_order_conditions():

@@ -178,7 +178,7 @@ def _by_steps(
         pushed = box.pushed(U, gradient)
         if inside and not _released(held, pushed, gradient).any():
             return BoxSolution(lq._replace(U=U), held, sweeps, True)
-        if sweeps >= rounds or (U == before).all():
+        if sweeps >= rounds or (before == U).all():
             k = U + np.einsum("nij,nj->ni", lq.K, X[:-1])
             return BoxSolution(lq._replace(X=X, U=U, k=k), held, sweeps, False)
         held, sweeps = pushed, sweeps + 1

@@ -195,8 +195,9 @@ class Auto(Method):
             self._second_from, self.theta = self._iterations, 1.0
 
     def _rescue(self, here: Iterate, merit: Merit) -> Step:
-        """Full steps with a growing multiplier, where the line search found none: of either kind, and last without
-        second derivatives, which then rest for some iterations.
+        """Full steps with a growing multiplier, where the line search found none.
+
+        Multipliers of either kind are tried, and last Gauss-Newton, whereupon second derivatives rest for a while.
         """
         assert self._latest is not None
         spent, exact, scale = 0, self._exact, self._latest.natural
