@@ -9,7 +9,7 @@ import mjslq
 @pytest.fixture(scope="module")
 def solo12():
     problem = mjslq.problems.get("solo12_stand")
-    return problem, mjslq.solve(problem)
+    return problem, mjslq.solve(problem, "slq")
 
 
 def test_solo12_rises_and_stands(solo12):
@@ -44,7 +44,7 @@ def test_solo12_feedback_rejects_a_push(solo12):
 @pytest.mark.parametrize("target", [(0.35, -0.2, 1.0), (0.4, 0.0, 0.9)])
 def test_g1_reaches_with_both_feet_on_the_ground(target):
     problem = mjslq.problems.get("g1_reach", **dict(zip("xyz", target, strict=True)))
-    result = mjslq.solve(problem)
+    result = mjslq.solve(problem, "slq")
     assert result.success, result.message
     assert np.linalg.norm(result.trajectory.Y[-1, :3] - target) < 3e-3
     assert result.trajectory.X[:, 2].min() > 0.7
