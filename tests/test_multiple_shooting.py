@@ -115,7 +115,7 @@ def test_linear_dynamics_take_one_step_from_any_guess(seed):
     for method in METHODS:
         result = solve(problem, method, X0=rng.standard_normal((9, 3)), U0=rng.standard_normal((8, 2)), tol=1e-7)
         assert result.status is Status.CONVERGED and result.iterations <= 2 and result.log[0].alpha == 1.0
-        assert result.cost == pytest.approx(solve(problem).cost, rel=1e-9)
+        assert result.cost == pytest.approx(solve(problem, "slq").cost, rel=1e-9)
 
 
 def test_the_model_of_a_guess_holds_to_second_order():
@@ -259,7 +259,7 @@ def test_a_rollout_has_no_gaps_and_a_guess_along_it_none_worth_the_name():
 def test_stationarity_of_a_guess_is_that_of_its_lagrangian():
     """At a minimum the costates of the sweep make the derivative by the controls vanish, and by the states, too."""
     problem = pendulum()
-    optimum = solve(problem, tol=0.0, tol_gradient=1e-9, max_iterations=1000).trajectory
+    optimum = solve(problem, "slq", tol=0.0, tol_gradient=1e-9, max_iterations=1000).trajectory
     here = Iterate.guess(problem, np.array(optimum.X), np.array(optimum.U))
     direction = SLQ(SLQOptions()).direction(here)
     assert here.stationarity(direction) < 1e-7
