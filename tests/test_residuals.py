@@ -221,7 +221,7 @@ def test_cost_gradient_and_gauss_newton_hessian(engines, engine, kind, when, los
 def whole(case, X, U):
     """Gradients, and whole Hessians with the outputs' own, at knots that need not follow each other."""
     engine = case.engine
-    F, Y = engine.advance(X, U)
+    F, Y = engine.step_each(X, U)
     trajectory, linearization = Trajectory(X, U, Y, H), engine.linearize_steps(X, U, F)
     expansion = case.problem.expand(trajectory, linearization)
     full, weights = case.problem.complete(trajectory, expansion)

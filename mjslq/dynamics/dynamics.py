@@ -138,6 +138,11 @@ class Dynamics(ABC):
         """
         return self.linearize(Trajectory.unchecked(X, U, np.zeros((len(X), 0)), self.dt))
 
+    @property
+    def curvature_price(self) -> float:
+        """What `hessian` costs, in linearizations."""
+        return 2.0 * (self.ndx + self.nu)
+
     def hessian(
         self,
         trajectory: Trajectory,

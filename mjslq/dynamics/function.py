@@ -190,6 +190,11 @@ class FunctionDynamics(Dynamics):
             self._kernel(kernels.step_each)(*self._arguments(len(controls)), states, controls, F)
         return F, np.array(self._trajectory(states, controls, -1).Y)
 
+    @property
+    def curvature_price(self) -> float:
+        """One where the Hessian was given; else differences of first derivatives in half of the directions."""
+        return 1.0 if self._given_hessian is not None else float(self.nx + self.nu)
+
     def hessian(
         self,
         trajectory: Trajectory,

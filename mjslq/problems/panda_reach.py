@@ -43,15 +43,16 @@ def panda_reach(
     reach: float = 1e3,
     effort: float = 1e-3,
     engine: str = "mujoco",
+    limits: bool = False,
 ) -> Problem:
     """Bring the hand to the point (`x`, `y`, `z`) [m] in `duration` [s], with little torque.
 
     `reach` weighs the distance at the end [1/m^2], `effort` the torques [1/(Nm)^2 s]. `engine` is "mujoco" or
-    "pinocchio".
+    "pinocchio". `limits` keeps the torques within the joints' efforts, 87 and 12 Nm.
     """
     N, dt = count("horizon", horizon), positive("duration", duration) / horizon
     make = {"mujoco": _mujoco, "pinocchio": _pinocchio}[choose("engine", engine, ("mujoco", "pinocchio"))]
-    dynamics, x0, hold = make(dt)
+    dynamics, x0, hold = make(dt, bool(limits))
     target = np.array([x, y, z])
     return Problem(
         dynamics=dynamics,
@@ -63,7 +64,7 @@ def panda_reach(
             Sensor(FRAME, target, 1.0),
             Sensor(FRAME, target, positive("reach", reach), when="terminal"),
         ],
-        bounds=Bounds(u=None),
+        bounds=None if limits else Bounds(u=None),
         name="panda_reach",
         U0=hold,
         # Full and half steps lead to this minimum; the steps that a parabola suggests lead to one 49 % dearer.
@@ -79,6 +80,7 @@ def panda_reach(
             "reach": reach,
             "effort": effort,
             "engine": engine,
+            "limits": limits,
         },
     )
 
@@ -90,8 +92,11 @@ def describe(trajectory: Trajectory, target: Array) -> dict[str, str]:
     return {"hand": f"{1e3 * distance:.2f} mm from the target, at ({point}) m"}
 
 
-def mujoco_spec() -> mujoco.MjSpec:
-    """The arm as an MJCF model: fingers locked, no limits on motion or torque, no damping, a sensor on the hand."""
+def mujoco_spec(limits: bool = False) -> mujoco.MjSpec:
+    """The arm as an MJCF model: fingers locked, no limits on motion, no damping, a sensor on the hand.
+
+    With `limits` the motors keep to the joints' efforts.
+    """
     import mujoco
 
     from mjslq.dynamics.locked_joints import lock_spec
@@ -102,20 +107,20 @@ def mujoco_spec() -> mujoco.MjSpec:
     for joint in spec.joints:
         joint.damping[:] = 0.0
     for motor in spec.actuators:
-        motor.ctrllimited = False
+        motor.ctrllimited = limits
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     kind, body = mujoco.mjtSensor.mjSENS_FRAMEPOS, mujoco.mjtObj.mjOBJ_XBODY
     spec.add_sensor(name=FRAME, type=kind, objtype=body, objname=FRAME)
     return spec
 
 
-def _mujoco(dt: float) -> tuple[Dynamics, Array, Array]:
+def _mujoco(dt: float, limits: bool) -> tuple[Dynamics, Array, Array]:
     """Engine, state to start from, and the torque that holds it."""
     import mujoco
 
     from mjslq.dynamics.mujoco import MujocoDynamics
 
-    dynamics = MujocoDynamics.from_spec(mujoco_spec(), timestep=dt)
+    dynamics = MujocoDynamics.from_spec(mujoco_spec(limits), timestep=dt)
     model = dynamics.model
     q = np.clip(model.qpos0, *model.jnt_range.T)
     data = mujoco.MjData(model)
@@ -124,14 +129,13 @@ def _mujoco(dt: float) -> tuple[Dynamics, Array, Array]:
     return dynamics, np.concatenate([q, np.zeros(model.nv)]), data.qfrc_bias.copy()
 
 
-def _pinocchio(dt: float) -> tuple[Dynamics, Array, Array]:
+def _pinocchio(dt: float, limits: bool) -> tuple[Dynamics, Array, Array]:
     """Engine, state to start from, and the torque that holds it."""
     from mjslq.dynamics.pinocchio import PinocchioDynamics
 
     dynamics = PinocchioDynamics.from_path(
         robot_path("panda"), dt, locked_joints=FINGERS, outputs=(FRAME,), damping=0.0
     )
-    limits = dynamics.model.lowerPositionLimit, dynamics.model.upperPositionLimit
-    x0 = dynamics.initial_state
-    x0[: dynamics.model.nq] = np.clip(x0[: dynamics.model.nq], *limits)
+    x0, model = dynamics.initial_state, dynamics.model
+    x0[: model.nq] = np.clip(x0[: model.nq], model.lowerPositionLimit, model.upperPositionLimit)
     return dynamics, x0, dynamics.holding_controls(x0)

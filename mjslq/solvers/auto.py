@@ -25,9 +25,10 @@ have to be kept, not the states.
 Steps are halved until one descends, under the sweep's feedback; full ones that bring more than the model expects are
 doubled as long as that pays.
 
-Second derivatives are taken in when full steps shrink the expected decrease by less than `SLOW` three times in a row,
-or steps have to be shortened as often: then Gauss-Newton converges slowly, or points the wrong way. A direction that
-has a multiplier never counts as converged.
+Second derivatives are taken in when full steps shrink the expected decrease by less than `SLOW`, or steps have to be
+shortened, three times in a row, and more often where second derivatives are dear (`Dynamics.curvature_price`): then
+Gauss-Newton converges slowly, or points the wrong way. A direction whose multiplier makes it short does not count as
+converged.
 """
 
 from __future__ import annotations
@@ -48,8 +49,11 @@ from mjslq.validation import Array
 
 SLOW = 0.3
 """Factor by which a full step has to shrink the expected decrease."""
-PATIENCE = 3
-"""Slow iterations in a row, after which second derivatives are taken in."""
+PATIENCE, LINEARIZATIONS_A_TURN = 3, 20.0
+"""Slow iterations in a row, after which second derivatives are taken in where they cost nothing, and the price, in
+linearizations, for which one more is waited."""
+LITTLE = 0.1
+"""Share of a multiplier in the model, up to which it may be that it does not matter."""
 LEAST_THETA = 0.01
 """Share of the curvature below which none is taken in."""
 SWEEPS = 15
@@ -93,6 +97,11 @@ class Candidate(NamedTuple):
     """Natural scales of the multipliers."""
 
     @property
+    def share(self) -> float:
+        """How much the multipliers weigh beside the whole model along the direction."""
+        return sum(m / scale if scale else np.inf * m for m, scale in zip(self.mu, self.natural, strict=True) if m)
+
+    @property
     def fine(self) -> bool:
         """Whether it is the minimizer, and descends."""
         return self.found.converged and self.decrease >= 0.0
@@ -131,7 +140,7 @@ class Auto(Method):
         else:
             raise NotPositiveDefinite(0)
         self._latest, self.theta = latest, latest.theta
-        return _direction(latest)
+        return _direction(latest)._replace(limited=self._limited(here, latest))
 
     def step(self, here: Iterate, direction: Direction, merit: Merit) -> Step:
         """Search along the direction; learn from the step how good the model is."""
@@ -151,7 +160,7 @@ class Auto(Method):
             rescued = self._rescue(here, merit)
             return Step(rescued.iterate, rescued.alpha, trial.evaluations + rescued.rollouts)
         self._costates = direction.costates
-        self._adapt(found.alpha, self._latest)
+        self._adapt(found.alpha, self._latest, here.problem.dynamics.curvature_price)
         alpha = _expanded(trial, found.alpha)
         self._watch(trial.start - trial.cost(alpha), trial.start)
         return Step(trial(alpha), alpha, trial.evaluations)
@@ -179,7 +188,19 @@ class Auto(Method):
                 theta *= 0.5
         return _solve(here, convex, self.theta if exact is None else 0.5 * LEAST_THETA, mu)
 
-    def _adapt(self, alpha: float, latest: Candidate) -> None:
+    def _limited(self, here: Iterate, latest: Candidate) -> bool:
+        """Whether multipliers make the direction short: it would be longer by half without them."""
+        if not any(latest.mu):
+            return False
+        if latest.share > LITTLE:
+            return True
+        try:
+            free = _solve(here, latest.model, latest.theta, Multipliers())
+        except NotPositiveDefinite:
+            return True
+        return not free.fine or float(np.linalg.norm(free.found.lq.U)) > 1.5 * float(np.linalg.norm(latest.found.lq.U))
+
+    def _adapt(self, alpha: float, latest: Candidate, price: float) -> None:
         """Change the multipliers after a step, and decide on second derivatives."""
         factor = GROW if alpha <= SHORT else 1.0 / SHRINK if alpha == 1.0 else 0.5
         mu = Multipliers(factor * self.mu.state, factor * self.mu.control)
@@ -189,9 +210,9 @@ class Auto(Method):
         self.mu = Multipliers(*kept)
         if self._second_from is not None or self.options.curvature == "never":
             return
-        poor = alpha < 1.0 or (not any(latest.mu) and latest.decrease > SLOW * self._last)
+        poor = alpha < 1.0 or (latest.share < LITTLE and latest.decrease > SLOW * self._last)
         self._slow, self._last = self._slow + 1 if poor else 0, latest.decrease
-        if self._slow >= PATIENCE:
+        if self._slow >= PATIENCE + price / LINEARIZATIONS_A_TURN:
             self._second_from, self.theta = self._iterations, 1.0
 
     def _rescue(self, here: Iterate, merit: Merit) -> Step:
@@ -280,10 +301,8 @@ def _solve(here: Iterate, model: LQProblem, theta: float, mu: Multipliers) -> Ca
 
 def _direction(latest: Candidate) -> Direction:
     lq, multiplier = latest.found.lq, max(latest.mu)
-    return Direction(
-        lq.X, lq.U, lq.k, lq.K, lq.costates, latest.model.value(lq.X, lq.U), latest.found.held, multiplier,
-        limited=multiplier > 0.0,
-    )  # fmt: skip
+    expected = latest.model.value(lq.X, lq.U)
+    return Direction(lq.X, lq.U, lq.k, lq.K, lq.costates, expected, latest.found.held, multiplier)
 
 
 def _between(convex: LQProblem, exact: LQProblem, theta: float) -> LQProblem:
