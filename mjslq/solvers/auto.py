@@ -294,6 +294,8 @@ def _solve(here: Iterate, model: LQProblem, theta: float, mu: Multipliers) -> Ca
     found = solve_in_box(model, here.box, mu.control * D, mu.state * Q, SWEEPS)
     X, U = found.lq.X, found.lq.U
     decrease = -float(np.vdot(model.q, X) + np.vdot(model.r, U))
+    if here.gaps is not None:
+        decrease = abs(decrease)  # the cost may rise while gaps close
     sizes = Q * float(np.vdot(X, X)), float((D * U * U).sum())
     natural = Multipliers(*(abs(decrease) / max(size, 1e-300) for size in sizes))
     return Candidate(found, model, theta, mu, decrease, natural)
