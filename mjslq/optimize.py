@@ -233,7 +233,7 @@ def _result(
         status=outcome.status,
         message=" ".join(part for part in (outcome.status.message, *remarks) if part),
         cost=iterate.cost,
-        iterations=sum(entry.outcome == "accepted" for entry in monitor.log),
+        iterations=monitor.steps,
         gradient_norm=outcome.gradient_norm,
         trajectory=iterate.trajectory,
         gains=outcome.gains,

@@ -1,8 +1,10 @@
 """Results as files: NumPy's npz, written whole or not at all, read without pickle.
 
-header        JSON: the format's version, the status, the log, all that is no array
-arrays        gains, lower, upper; trajectory_X, ..., iterates_X, ... (stacked); violations and multipliers by name;
-the scene's model; where the state's rotations are
+    header        JSON: the format's version, the status, the log, all that is no array
+    arrays        gains, lower, upper; trajectory_X, ..., iterates_X, ... (stacked; states between the knots only of
+                  the trajectory); violations and multipliers by name; the scene's model; the state's rotations
+
+Files of another version are refused in one sentence.
 """
 
 from __future__ import annotations
@@ -47,6 +49,8 @@ def save(result: Result, path: str | os.PathLike[str]) -> None:
     if result.gains is not None:
         arrays["gains"] = result.gains
     arrays |= _pack("trajectory", [result.trajectory])
+    if result.trajectory.substates is not None:
+        arrays["trajectory_substates"] = result.trajectory.substates[None]
     if result.iterates:
         arrays |= _pack("iterates", result.iterates)
     for kind in ("violations", "multipliers"):
@@ -129,7 +133,11 @@ def _pack(name: str, trajectories: Sequence[Trajectory]) -> dict[str, Array]:
 
 def _unpack(name: str, arrays: dict[str, Array]) -> tuple[Trajectory, ...]:
     stacked = [arrays[f"{name}_{part}"] for part in (*_PARTS, "diverged_at")]
-    return tuple(Trajectory(x, u, y, dt, None if at < 0 else int(at)) for x, u, y, dt, at in zip(*stacked, strict=True))
+    substates = arrays.get(f"{name}_substates", [None] * len(stacked[0]))
+    return tuple(
+        Trajectory(x, u, y, dt, None if at < 0 else int(at), between)
+        for x, u, y, dt, at, between in zip(*stacked, substates, strict=True)
+    )
 
 
 def _pack_space(space: StateSpace) -> dict[str, Array]:

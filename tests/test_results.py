@@ -402,3 +402,17 @@ def test_nothing_is_ever_pickled(tmp_path):
     with np.load(path, allow_pickle=False) as data:
         assert all(data[name].dtype != object for name in data.files)
     assert "print" in mjslq.load(path).options["callback"]
+
+
+def test_states_between_knots_survive(tmp_path):
+    pendulum = """<mujoco><option timestep="0.01"/><worldbody><body><joint name="hinge" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -.5" size=".03"/></body></worldbody>
+    <actuator><motor joint="hinge" ctrlrange="-1 1"/></actuator></mujoco>"""
+    dynamics = mjslq.MujocoDynamics.from_xml(pendulum, substeps=3)
+    terms = [mjslq.costs.Control(0.1), mjslq.costs.State(10.0, [0.3, 0.0], "terminal")]
+    result = mjslq.solve(mjslq.Problem(dynamics, 8, [0.0, 0.0], terms))
+    result.save(tmp_path / "r.npz")
+    loaded = mjslq.load(tmp_path / "r.npz")
+    assert loaded.trajectory.substates.shape == (8, 2, 2)
+    np.testing.assert_array_equal(loaded.trajectory.substates, result.trajectory.substates)
+    assert loaded.trajectory.dt[0] == pytest.approx(0.03)

@@ -128,7 +128,7 @@ def _converged(here: Iterate, ahead: Direction, method: Method, stopping: Stoppi
 
 def _entry(monitor: Monitor, merit: Merit, here: Iterate, ahead: Direction, step: Step, tried: bool) -> IterationLog:
     return IterationLog(
-        iteration=sum(entry.outcome == "accepted" for entry in monitor.log),
+        iteration=monitor.steps,
         cost=here.cost,
         gradient_norm=here.stationarity(ahead),
         direction_norm=float(np.linalg.norm(ahead.U)),

@@ -23,12 +23,15 @@ class Monitor:
     stream: TextIO = field(default_factory=lambda: sys.stdout)
     compiling: CompileClock = field(default_factory=CompileClock)
     log: list[IterationLog] = field(default_factory=list)
+    steps: int = 0
+    """Steps taken; rejected trials do not count."""
     iterates: list[Trajectory] = field(default_factory=list)
     started: float = field(default_factory=time.perf_counter)
 
     def record(self, entry: IterationLog, trajectory: Trajectory) -> bool:
         """Keep an entry, print it, tell the callback; True when the callback asks to stop."""
         self.log.append(entry)
+        self.steps += entry.outcome == "accepted"
         if self.keep_iterates:
             self.iterates.append(trajectory)
         if self.verbose:
