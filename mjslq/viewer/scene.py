@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 _GHOST_OPACITY, _GHOST_PALENESS = 0.3, 0.3
 _GHOST_SHRINK = 0.002  # each ghost a little smaller than the one before: surfaces that coincide would flicker
 _GROUND, _CELL, _SECTION = (238, 240, 243), (220, 224, 230), (196, 202, 211)
+_SKY: dict[str, Any] = {"sky_color": (255, 255, 255), "ground_color": (150, 155, 165), "intensity": 2.2}
+"""Light that stands for an environment map."""
 _TRACE = (214, 93, 50)
 _TRACES = 4  # paths drawn at most
 _SURROUNDINGS = 0.12  # how far the first view goes beyond the motion, for what stands there; of the motion's size
@@ -44,8 +46,21 @@ class SceneView:
     so that the robot stays opaque, and ghosts that stand still cost a frame nothing.
     """
 
-    def __init__(self, server: viser.ViserServer, scene: Scene, trajectory: Trajectory, aspect: float = 1.0) -> None:
-        """Draw `scene`, with the camera on all of `trajectory` in a window of width / height `aspect`."""
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        scene: Scene,
+        trajectory: Trajectory,
+        aspect: float = 1.0,
+        *,
+        recorded: bool = False,
+    ) -> None:
+        """Draw `scene`, with the camera on all of `trajectory` in a window of width / height `aspect`.
+
+        A `recorded` scene has plain lights: Viser's page may load an environment map anew each time that a recording
+        starts over, and shows next to nothing meanwhile, on slow machines for ever.
+        """
+        self._recorded = recorded
         self._server = server
         self._scene = scene
         self._model = model_from_mjb(scene.model)
@@ -196,7 +211,11 @@ class SceneView:
         scene, start = self._server.scene, self._server.initial_camera
         scene.set_up_direction("+z")
         scene.configure_default_lights(True, cast_shadow=True)
-        scene.configure_environment_map("studio", environment_intensity=0.35)
+        if self._recorded:
+            scene.configure_environment_map(None)
+            scene.add_light_hemisphere("/light", **_SKY)
+        else:
+            scene.configure_environment_map("studio", environment_intensity=0.35)
         seen = camera.fit(low, high, aspect)
         distance = float(np.linalg.norm(seen.position - seen.look_at))
         start.position, start.look_at, start.fov = seen.position, seen.look_at, camera.FIELD_OF_VIEW

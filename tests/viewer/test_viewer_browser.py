@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import viser
 from PIL import Image
 
 from mjslq.result import Result
@@ -121,6 +122,18 @@ def test_exported_motion_plays_from_disk(arm: Result, browser: Any, tmp_path: Pa
     assert changed(early, late) > 2000
     assert not strays
     page.context.close()
+
+
+def test_recordings_have_no_environment_map(arm: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Viser loads one at each start of a recording, and on a slow machine shows nothing but a shade meanwhile."""
+    maps: list[str | None] = []
+    monkeypatch.setattr(
+        viser.SceneApi, "configure_environment_map", lambda _, hdri, **more: maps.append(hdri), raising=True
+    )
+    export_html(arm, tmp_path / "arm.html")
+    assert maps == [None]
+    with Player(arm, autoplay=False):
+        assert maps[1:] == ["studio"]
 
 
 def test_exported_function_problem_has_plots_and_a_clock(function: Result, browser: Any, tmp_path: Path) -> None:
