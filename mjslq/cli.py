@@ -261,6 +261,9 @@ def reproduce(
 @app.command()
 def bench(
     cases: Annotated[list[str] | None, typer.Argument(help="Cases to measure; all of them unless given.")] = None,
+    starts: Annotated[
+        int | None, typer.Option(help="Solve swing-ups and reaches from so many perturbed starts instead.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Measure what an iteration costs here, phase by phase, beside the engine's own calls."""
@@ -268,6 +271,9 @@ def bench(
     from mjslq.reports import bench, tables
     from mjslq.validation import choose
 
+    if starts is not None:
+        _bench_starts(cases, starts, as_json)
+        return
     rows = []
     for case in [choose("case", case, bench.CASES) for case in cases or bench.CASES]:
         print(f"measuring {case} ...", file=sys.stderr, flush=True)
@@ -280,6 +286,22 @@ def bench(
         print(json.dumps({"cases": [row.as_dict() for row in rows], "growth": growth}))
     else:
         tables.benchmark(rows, growth)
+
+
+def _bench_starts(cases: list[str] | None, number: int, as_json: bool) -> None:
+    """Solve each case from perturbed starts, by default settings."""
+    from mjslq.reports import starts, tables
+    from mjslq.validation import choose, count
+
+    count("starts", number)
+    rows = []
+    for case in [choose("case", case, starts.CASES) for case in cases or starts.CASES]:
+        print(f"solving {case} from {number} starts ...", file=sys.stderr, flush=True)
+        rows.append(starts.measure(case, number))
+    if as_json:
+        print(json.dumps({"starts": [row.as_dict() for row in rows]}))
+    else:
+        tables.many_starts(rows)
 
 
 def _refuse_unwritable(file: Path) -> None:

@@ -10,11 +10,11 @@ from mjslq import Bounds, FunctionDynamics, MujocoDynamics, Problem, Status, cos
 from mjslq.reports import starts
 
 SOLVED = {  # median and largest iterations allowed
-    "cart-pole, 5 N": (40, 60),
-    "cart-pole, no limit": (60, 80),
-    "double pendulum, 8 and 4 Nm": (25, 40),
-    "acrobot, 10 Nm": (150, 200),
-    "panda_reach, effort limits": (25, 60),
+    "cart-pole 5 N": (40, 60),
+    "cart-pole without limit": (60, 80),
+    "double pendulum 8 and 4 Nm": (25, 40),
+    "acrobot 10 Nm": (150, 200),
+    "panda_reach with effort limits": (25, 60),
 }
 
 
@@ -54,8 +54,8 @@ def judge(problem, U0):
 
 WEAK_PENDULUM = """
 <mujoco><option timestep="0.02" integrator="implicitfast"><flag contact="disable"/></option><worldbody>
-<body><joint name="hinge" axis="0 1 0" damping="0.01"/><geom type="capsule" fromto="0 0 0 0 0 0.5" size="0.02" mass="1"/>
-</body></worldbody><actuator><motor joint="hinge" ctrlrange="-0.8 0.8"/></actuator></mujoco>"""
+<body><joint name="hinge" axis="0 1 0" damping="0.01"/>
+<geom type="capsule" fromto="0 0 0 0 0 0.5" size="0.02" mass="1"/></body></worldbody><actuator><motor joint="hinge" ctrlrange="-0.8 0.8"/></actuator></mujoco>"""
 
 
 def weak_pendulum():

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from mjslq.reports import bench, tables
+from mjslq.reports import bench, starts, tables
 
 
 @pytest.fixture(autouse=True)
@@ -84,3 +84,12 @@ def test_json_is_for_machines():
     outcome = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     (row,) = json.loads(outcome.stdout)["cases"]
     assert row["case"] == "hopper" and row["iteration"] > 0.0
+
+
+def test_many_starts_in_a_table(capsys):
+    row = starts.measure("cart-pole 2.5 N", 2)
+    assert row.solved == 2 and row.violation == 0.0 and row.failures == ""
+    numbers = row.as_dict()
+    assert len(numbers["iterations"]) == len(numbers["costs"]) == 2
+    tables.many_starts([row])
+    assert "2 of 2" in capsys.readouterr().out

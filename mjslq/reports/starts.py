@@ -39,12 +39,12 @@ class Case(NamedTuple):
 
 
 CASES = {
-    "cart-pole, 5 N": Case("cart_pole"),
-    "cart-pole, no limit": Case("cart_pole", {"limit": 0.0}),
-    "cart-pole, 2.5 N": Case("cart_pole", {"limit": 2.5}),
-    "double pendulum, 8 and 4 Nm": Case("double_pendulum"),
-    "acrobot, 10 Nm": Case("acrobot"),
-    "panda_reach, effort limits": Case("panda_reach", {"limits": True}, wander=0.1),
+    "cart-pole 5 N": Case("cart_pole"),
+    "cart-pole without limit": Case("cart_pole", {"limit": 0.0}),
+    "cart-pole 2.5 N": Case("cart_pole", {"limit": 2.5}),
+    "double pendulum 8 and 4 Nm": Case("double_pendulum"),
+    "acrobot 10 Nm": Case("acrobot"),
+    "panda_reach with effort limits": Case("panda_reach", {"limits": True}, wander=0.1),
 }
 
 
@@ -80,6 +80,11 @@ class Row:
         """How the others ended."""
         endings = Counter(result.status.value for result in self.results if not result.success)
         return ", ".join(f"{count} {status}" for status, count in endings.items())
+
+    def as_dict(self) -> dict[str, Any]:
+        """The numbers."""
+        numbers = {"iterations": self.iterations.tolist(), "costs": self.costs.tolist(), "seconds": self.seconds}
+        return {"case": self.case, "solved": self.solved, **numbers, "violation": self.violation}
 
     @property
     def violation(self) -> float:

@@ -16,6 +16,7 @@ from mjslq.result import Result
 
 if TYPE_CHECKING:
     from mjslq.reports.bench import Row
+    from mjslq.reports.starts import Row as StartsRow
 
 
 def table(*titles: str, title: str | None = None, caption: str | None = None) -> Table:
@@ -129,3 +130,16 @@ def benchmark(rows: list[Row], growth: dict[str, dict[int, float]]) -> None:
     for name, found in growth.items():
         if found:
             screen.print(f"\n{name}: " + ", ".join(f"{at}: {value:.3g}" for at, value in found.items()))
+
+
+def many_starts(rows: list[StartsRow]) -> None:
+    """Print from how many starts each case was solved, and how."""
+    titles = ("case", "solved", "iterations", "at most", "seconds", "cost from", "to", "endings of the others")
+    found = table(*titles, title="perturbed starts, default settings: medians")
+    for row in rows:
+        found.add_row(
+            row.case, f"{row.solved} of {len(row.results)}", f"{np.median(row.iterations):.0f}",
+            str(row.iterations.max()), f"{row.seconds:.2f}", f"{row.costs.min():.5g}", f"{row.costs.max():.5g}",
+            row.failures or "-",
+        )  # fmt: skip
+    console(120).print(found)
