@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from mjslq import starts
 from mjslq.compiling import CompileClock
 from mjslq.log import IterationLog
-from mjslq.options import COMMON, RECORDS, Stopping, names
+from mjslq.options import COMMON, RECORDS, Stopping, check_tolerance, names
 from mjslq.problem import Problem
 from mjslq.result import Result
 from mjslq.solvers.auto import Auto
@@ -206,7 +206,7 @@ def _stopping(settings: dict[str, Any]) -> Stopping:
     given = {name: settings.pop(name) for name in COMMON if name in settings}
     if "tol" in given:
         tol = given.pop("tol")
-        Stopping(tol, tol)  # so that a wrong one is named by its own name
+        check_tolerance("tol", tol)
         given = {"tol_direction": tol, "tol_gradient": tol} | given
     return Stopping(**given)
 

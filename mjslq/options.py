@@ -38,9 +38,7 @@ class Stopping:
 
     def __post_init__(self) -> None:
         for name in ("tol_direction", "tol_gradient"):
-            value = getattr(self, name)
-            if not (_is_number(value) and 0.0 <= value < np.inf):
-                raise ValueError(f"{name} must be a number of at least 0, got {value!r}")
+            check_tolerance(name, getattr(self, name))
         limit = self.max_iterations
         if isinstance(limit, bool) or not isinstance(limit, (int, np.integer)) or limit < 0:
             raise ValueError(f"max_iterations must be a whole number of at least 0, got {limit!r}")
@@ -163,15 +161,18 @@ def check(options: Mapping[str, Any]) -> None:
     for name, value in options.items():
         choose("option", name, known)
         if name == "tol":
-            Stopping(value, value)
+            check_tolerance(name, value)
         records: list[type[Any]] = [Stopping, *RECORDS.values()]
         for record in records:
             if name in (field.name for field in fields(record)):
                 record(**{name: value})
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+def check_tolerance(name: str, value: Any) -> None:
+    """Refuse, by ValueError, what is no number of at least 0."""
+    number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    if not (number and 0.0 <= value < np.inf):
+        raise ValueError(f"{name} must be a number of at least 0, got {value!r}")
 
 
 def _check_flag(name: str, value: Any) -> None:
