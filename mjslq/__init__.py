@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from mjslq.viewer import export_html as export_html
     from mjslq.viewer import view as view
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOME = {
     "costs": "mjslq.costs",
