@@ -66,7 +66,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjslq.lq.problem import LQProblem, NotPositiveDefinite
-from mjslq.lq.square_root_matrices import Factors, factorize_stages
+from mjslq.lq.square_root_matrices import Factors, empty_factors, factorize_stages
 from mjslq.lq.square_root_rows import (
     Infeasible,
     InitialStage,
@@ -86,9 +86,9 @@ from mjslq.validation import Array, as_array, count
 __all__ = ["Factorization", "Infeasible", "PathRows", "Solution", "StateRows", "Unbounded", "factorize", "solve"]
 
 WIDE = 1e4
-"""Spread of the squared pivots of T up to which rounding stays below 1e-11 without refinement."""
-SHRUNK = 10.0
-"""Factor by which a hard row may shrink in one step without refinement."""
+"""Spread of the squared pivots of T, of the hard and of the weighted ones, that asks for refinement."""
+SHRUNK = 3.0
+"""Factor by which a hard row shrinks in one step on its way back that asks for refinement."""
 SMALL = 1e-9
 """Relative change by a refinement up to which no second one is made."""
 
@@ -193,7 +193,7 @@ class Factorization(NamedTuple):
         Infeasible, Unbounded
         """
         changed = {
-            name: as_array(name, value, getattr(self.problem, name).shape)
+            name: _writable(as_array(name, value, getattr(self.problem, name).shape))
             for name, value in (("q", q), ("r", r), ("c", c))
             if value is not None
         }
@@ -356,7 +356,7 @@ def factorize(
     problem = _checked(problem)
     N, nx, nu = problem.B.shape
     rows = sorted_rows(path, terminal, N, nx, nu)
-    factors = _space(rows.hard.start, N, nx, nu)
+    factors = empty_factors(rows.hard.start, N, nx, nu)
     failed = factorize_stages(problem, rows.hard, rows.weighted, factors)
     if failed >= 0:
         raise NotPositiveDefinite(failed)
@@ -366,31 +366,28 @@ def factorize(
 def _checked(problem: LQProblem) -> LQProblem:
     B = as_array("B", problem.B, ("N", "nx", "nu"))
     N, nx, nu = B.shape
+    if not B.size:
+        raise ValueError(f"B must hold at least one step, state and control, got shape {B.shape}")
     shapes = {
         "A": (N, nx, nx), "B": (N, nx, nu), "Q": (N + 1, nx, nx), "R": (N, nu, nu), "M": (N, nu, nx),
         "q": (N + 1, nx), "r": (N, nu), "c": (N, nx),
     }  # fmt: skip
-    return LQProblem(**{name: as_array(name, getattr(problem, name), shape) for name, shape in shapes.items()})
+    arrays = {name: as_array(name, getattr(problem, name), shape) for name, shape in shapes.items()}
+    return LQProblem(**{name: _writable(array) for name, array in arrays.items()})
 
 
-def _space(start: Array, N: int, nx: int, nu: int) -> Factors:
-    """Arrays for the factors, with room for as many hard rows as can be carried."""
-    own, carried, most, tall = np.diff(start), 0, 0, 0
-    for n in range(N, -1, -1):
-        tall = max(tall, carried + int(own[n]))
-        carried = min(nx, carried + int(own[n]))
-        most = max(most, carried)
-    return Factors(
-        K=np.empty((N, nu, nx)), T=np.empty((N, nu, nu)), order=np.empty((N, nu), np.int64),
-        W=np.empty((N + 1, nx, nx)), E=np.zeros((N + 1, most, nx)),
-        pivots=np.empty(N + 1, np.int64), carried=np.empty(N + 1, np.int64),
-        V=np.zeros((N + 1, tall, tall)), h=np.zeros((N + 1, tall)), norm=np.zeros((N + 1, tall)),
-    )  # fmt: skip
+def _writable(array: Array) -> Array:
+    """The array, or a copy of one that is read-only, for which the kernels would have to be compiled again."""
+    return array if array.flags.writeable else array.copy()
 
 
 def _rounds(f: Factors) -> int:
     """Whether refinement matters: pivots of T spread, or hard rows shrink on their way back."""
-    pivots = np.abs(f.T.diagonal(axis1=1, axis2=2))
+    pivots = f.T.diagonal(axis1=1, axis2=2) ** 2
+    is_hard = np.arange(pivots.shape[1]) < f.pivots[:-1, None]
+    for kind in (is_hard, ~is_hard):
+        largest, least = pivots.max(where=kind, initial=0.0), pivots.min(where=kind, initial=np.inf)
+        if largest > WIDE * least:
+            return 1
     is_carried = np.arange(f.norm.shape[1]) < f.carried[1:, None]
-    shrinking = f.norm[:-1].max(where=is_carried, initial=0.0)
-    return int((pivots.max() / pivots.min()) ** 2 > WIDE or shrinking > SHRUNK)
+    return int(f.norm[:-1].max(where=is_carried, initial=0.0) > SHRUNK)

@@ -69,6 +69,21 @@ class Factors(NamedTuple):
     """Reciprocal norms of the hard rows before the reflections. Shape (N + 1, h)."""
 
 
+def empty_factors(start: Integers, N: int, nx: int, nu: int) -> Factors:
+    """Arrays for the factors, with room for as many hard rows as can be carried."""
+    own, carried, most, tall = np.diff(start), 0, 0, 0
+    for n in range(N, -1, -1):
+        tall = max(tall, carried + int(own[n]))
+        carried = min(nx, carried + int(own[n]))
+        most = max(most, carried)
+    return Factors(
+        K=np.empty((N, nu, nx)), T=np.empty((N, nu, nu)), order=np.empty((N, nu), np.int64),
+        W=np.empty((N + 1, nx, nx)), E=np.zeros((N + 1, most, nx)),
+        pivots=np.empty(N + 1, np.int64), carried=np.empty(N + 1, np.int64),
+        V=np.zeros((N + 1, tall, tall)), h=np.zeros((N + 1, tall)), norm=np.zeros((N + 1, tall)),
+    )  # fmt: skip
+
+
 @njit(cache=True, nogil=True)
 def factorize_stages(lq, hard, weighted, f):
     """Matrix recursion; returns the step without a unique minimizer, or -1."""
@@ -77,7 +92,7 @@ def factorize_stages(lq, hard, weighted, f):
     S, block = np.empty((tall, nu + nx)), np.empty((f.h.shape[1], nu + nx))
     H, F, Z = np.zeros((nu + nx, nu + nx)), np.empty((nu + nx, nu + nx)), np.empty((nu, nu + nx))
     AB, product = np.empty((nx, nu + nx)), np.empty((max(nx, f.E.shape[1]), nu + nx))
-    work, size = np.empty(nu + nx), np.empty(nu)
+    work, size, space = np.empty(nu + nx), np.empty(nu), np.empty((3, nu + nx))
     if not _terminal(lq, hard, weighted, f, H, F, S, block, work):
         return N
     for n in range(N - 1, -1, -1):
@@ -86,7 +101,7 @@ def factorize_stages(lq, hard, weighted, f):
         order = f.order[n]
         rank = 0
         if f.carried[n + 1] + hard.start[n + 1] - hard.start[n]:
-            rank = _hard_stage(hard, f, n, AB, product, block, order)
+            rank = _hard_stage(hard, f, n, AB, product, block, order, space)
         else:
             f.pivots[n], f.carried[n] = 0, 0
             for i in range(nu):
@@ -135,12 +150,12 @@ def _terminal(lq, hard, weighted, f, H, F, S, block, work):
     merge(F[nu:, nu:], S, 0, rows, nu, work)
     _take_upper(F, nu, f.W[N])
     none = np.empty((0, 0))
-    _hard_stage(hard, f, N, none, none, block, np.empty(nu, np.int64))
+    _hard_stage(hard, f, N, none, none, block, np.empty(nu, np.int64), np.empty((3, nu + H.shape[0])))
     return True
 
 
 @njit(cache=True, nogil=True)
-def _hard_stage(hard, f, n, AB, product, block, order):
+def _hard_stage(hard, f, n, AB, product, block, order, work):
     """Hard rows of step n into `block`, transformed; returns how many controls they determine."""
     nu, rank, carried = order.size, 0, 0
     for i in range(nu):
@@ -150,7 +165,7 @@ def _hard_stage(hard, f, n, AB, product, block, order):
         rows += f.carried[n + 1]
     if rows:
         _gather(hard, f, n, AB, product, block)
-        rank, carried = eliminate_hard(block, rows, nu, DEPENDENT, order, f.V[n], f.h[n])
+        rank, carried = eliminate_hard(block, rows, nu, DEPENDENT, order, f.V[n], f.h[n], work)
         for i in range(carried):
             f.E[n, i] = block[rank + i, nu:]
     f.pivots[n], f.carried[n] = rank, carried

@@ -57,13 +57,13 @@ class Row(NamedTuple):
 
     kind: str
     """"path", "terminal" or "initial"."""
-    index: int
+    number: int
     """Place among the rows of this kind; that of the component where the initial state is given."""
     step: int
     """Its step."""
 
     def __str__(self) -> str:
-        return f"{self.kind} row {self.index} (step {self.step})"
+        return f"{self.kind} row {self.number} (step {self.step})"
 
 
 class Infeasible(ArithmeticError):
@@ -139,11 +139,12 @@ def sorted_rows(path: PathRows | None, terminal: StateRows | None, N: int, nx: i
     C = np.concatenate([C, np.zeros((len(d_end), nu))])
     order = np.argsort(step, kind="stable")
     hard, weighted = order[scale[order] == 0.0], order[scale[order] > 0.0]
-    kinds = [
-        SortedRows(H[rows], C[rows], scale[rows], np.searchsorted(step[rows], np.arange(N + 2)).astype(np.int64))
-        for rows in (hard, weighted)
-    ]
-    return Sorting(*kinds, d, len(d) - len(d_end), hard, weighted)
+
+    def taken(rows: Integers) -> SortedRows:
+        start = np.searchsorted(step[rows], np.arange(N + 2)).astype(np.int64)
+        return SortedRows(H[rows], C[rows], scale[rows], start)
+
+    return Sorting(taken(hard), taken(weighted), d, len(d) - len(d_end), hard, weighted)
 
 
 def _checked_path(path: PathRows | None, N: int, nx: int, nu: int) -> tuple[Integers, Array, Array, Array, Array]:
