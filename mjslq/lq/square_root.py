@@ -138,6 +138,8 @@ class Solution(NamedTuple):
     """J, weighted rows included."""
     to_go: CostToGo
     """Cost-to-go."""
+    violation: float
+    """Largest |H x + C u - d| of the hard path and terminal rows, over the norms of their coefficients: rounding."""
 
 
 class _Pass(NamedTuple):
@@ -214,6 +216,7 @@ class Factorization(NamedTuple):
             multipliers[: self.rows.paths], multipliers[self.rows.paths :], found.initial,
             self._cost(problem, found),
             CostToGo(self.factors.W, found.p, self.factors.E, found.v, found.psi),
+            self.rows.violation(found.X, found.U, d_hard),
         )  # fmt: skip
 
     def _pass(self, problem: LQProblem, d_hard: Array, d_weighted: Array, d_initial: Array, slack: float) -> _Pass:

@@ -31,7 +31,7 @@ Integers = np.ndarray[Any, np.dtype[np.int64]]
 DEPENDENT = 1e-12
 """Norm of what is left of a hard row, which was one, below which it depends on the others."""
 UNEVEN = 1e4
-"""Ratio of variances of right sides above which dependent rows are weighted by them."""
+"""Ratio of variances of right sides above which rows are weighted by them."""
 LEAST_WEIGHT = 1e-4
 """Least weight of such a row."""
 
@@ -168,7 +168,8 @@ def _terminal(lq, hard, weighted, f, H, F, S, block, work):
 def _hard_stage(hard, f, n, AB, product, block, order, work):
     """Hard rows of step n into `block`, transformed; returns how many controls they determine.
 
-    Where rows depend on others, those with more rounding behind them get less weight, so that these are dropped.
+    Rows with far more rounding behind them than others get less weight, lest they spoil what the others tell: offsets
+    that come back through dynamics which forget the state.
     """
     V, h, least = f.V[n], f.h[n], 1.0
     for attempt in range(3):
@@ -178,7 +179,7 @@ def _hard_stage(hard, f, n, AB, product, block, order, work):
         rank, carried = eliminate_hard(block, rows, order.size, DEPENDENT, order, V, h, work)
         if attempt == 0:
             independent = rank + carried
-            if independent == rows or noise[:rows].max() <= UNEVEN * noise[:rows].min():
+            if noise[:rows].max() <= UNEVEN * noise[:rows].min():
                 break
             least = LEAST_WEIGHT
         elif rank + carried == independent:

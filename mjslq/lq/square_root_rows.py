@@ -117,10 +117,21 @@ class Sorting(NamedTuple):
         merged[self.from_hard], merged[self.from_weighted] = hard, weighted
         return merged
 
+    def violation(self, X: Array, U: Array, d_hard: Array) -> float:
+        """Largest residual of a hard row over its norm."""
+        H, C, _, start = self.hard
+        step = np.repeat(np.arange(len(start) - 1), np.diff(start))
+        rest = (H * X[step]).sum(axis=1) + (C * U[np.minimum(step, len(U) - 1)]).sum(axis=1) - d_hard
+        return float(np.abs(rest / self._norms()).max(initial=0.0))
+
+    def _norms(self) -> Array:
+        """Norms of the hard rows; one for rows without coefficients."""
+        norms = np.hypot(np.linalg.norm(self.hard.H, axis=1), np.linalg.norm(self.hard.C, axis=1))
+        return np.where(norms > 0.0, norms, 1.0)
+
     def named(self, hard: Array) -> tuple[list[Row], Array]:
         """Rows with more than negligible multipliers, and these."""
-        norms = np.hypot(np.linalg.norm(self.hard.H, axis=1), np.linalg.norm(self.hard.C, axis=1))
-        sizes = np.abs(hard) * np.where(norms > 0.0, norms, 1.0)
+        sizes = np.abs(hard) * self._norms()
         chosen = np.flatnonzero(sizes > NAMED * sizes.max(initial=0.0))
         rows = []
         for i in chosen:
