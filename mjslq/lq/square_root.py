@@ -86,9 +86,7 @@ from mjslq.validation import Array, as_array, count
 __all__ = ["Factorization", "Infeasible", "PathRows", "Solution", "StateRows", "Unbounded", "factorize", "solve"]
 
 WIDE = 1e4
-"""Spread of the squared pivots of T, of the hard and of the weighted ones, that asks for refinement."""
-SHRUNK = 3.0
-"""Factor by which a hard row shrinks in one step on its way back that asks for refinement."""
+"""Spread of the squared pivots of T up to which rounding stays below 1e-11 without refinement."""
 SMALL = 1e-9
 """Relative change by a refinement up to which no second one is made."""
 
@@ -300,8 +298,8 @@ def solve(
         What may be left of the right side of a row that depends on others, in rows scaled to norm one, besides
         rounding.
     refinements : int
-        Rounds of iterative refinement. Unless given, one with hard rows or where pivots spread, a second one where
-        the first changes much, none elsewhere.
+        Rounds of iterative refinement. Unless given, none for an initial state given, no hard rows and pivots of
+        similar size, else one, and a second one where the first changes much.
 
     Returns
     -------
@@ -363,7 +361,8 @@ def factorize(
     failed = factorize_stages(problem, rows.hard, rows.weighted, factors)
     if failed >= 0:
         raise NotPositiveDefinite(failed)
-    return Factorization(problem, rows, factors, initial_stage(initial, factors), slack, _rounds(factors))
+    start = initial_stage(initial, factors)
+    return Factorization(problem, rows, factors, start, slack, _rounds(rows, start, factors.T))
 
 
 def _checked(problem: LQProblem) -> LQProblem:
@@ -384,13 +383,7 @@ def _writable(array: Array) -> Array:
     return array if array.flags.writeable else array.copy()
 
 
-def _rounds(f: Factors) -> int:
-    """Whether refinement matters: pivots of T spread, or hard rows shrink on their way back."""
-    pivots = f.T.diagonal(axis1=1, axis2=2) ** 2
-    is_hard = np.arange(pivots.shape[1]) < f.pivots[:-1, None]
-    for kind in (is_hard, ~is_hard):
-        largest, least = pivots.max(where=kind, initial=0.0), pivots.min(where=kind, initial=np.inf)
-        if largest > WIDE * least:
-            return 1
-    is_carried = np.arange(f.norm.shape[1]) < f.carried[1:, None]
-    return int(f.norm[:-1].max(where=is_carried, initial=0.0) > SHRUNK)
+def _rounds(rows: Sorting, initial: InitialStage, T: Array) -> int:
+    """Rounds of refinement that rounding asks for."""
+    pivots = np.abs(T.diagonal(axis1=1, axis2=2))
+    return int(rows.hard.scale.size > 0 or not initial.given or (pivots.max() / pivots.min()) ** 2 > WIDE)
