@@ -206,12 +206,11 @@ def _gather(hard, f, n, AB, product, block, least):
     if n + 1 < f.carried.size:
         count = f.carried[n + 1]
         if count:
-            largest = math.sqrt((AB * AB).sum())
+            largest = _norm(AB.ravel())
             multiply(f.E[n + 1, :count], AB, product[:count])
             for i in range(count):
-                row = f.E[n + 1, i]
                 block[i] = product[i]
-                f.norm[n, i] = _unit(block[i], largest * math.sqrt((row * row).sum()))
+                f.norm[n, i] = _unit(block[i], largest * _norm(f.E[n + 1, i]))
                 noise[i] = (1.0 + f.noise[n + 1, i]) * f.norm[n, i] ** 2
     for m in range(hard.start[n], hard.start[n + 1]):
         i = count + m - hard.start[n]
@@ -230,9 +229,17 @@ def _gather(hard, f, n, AB, product, block, least):
 
 
 @njit(cache=True, nogil=True)
+def _norm(x):
+    total = 0.0
+    for entry in x:
+        total += entry * entry
+    return math.sqrt(total)
+
+
+@njit(cache=True, nogil=True)
 def _unit(row, size):
     """Scale the row to norm one, or to zero where it vanishes beside `size`; the factor for its right side."""
-    norm = math.sqrt((row * row).sum())
+    norm = _norm(row)
     if norm <= DEPENDENT * size:
         row[:] = 0.0
         return 1.0 / size if size > 0.0 else 1.0
