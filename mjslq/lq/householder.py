@@ -32,40 +32,73 @@ SEMIDEFINITE = 1e-13
 """Pivot over its diagonal entry below which a weight matrix counts as singular."""
 INDEFINITE = 1e-9
 """What may remain of a weight matrix behind its last pivot, relative to the diagonal."""
+CANCELLED = 1e-6
+"""Share of the squared norms of columns below which their updates are not trusted."""
 SINGULAR = 1e-13
 """Pivot over the norm of its column below which a control counts as having no weight."""
 
 
 @njit(cache=True, nogil=True)
-def eliminate_hard(block, rows, nu, tolerance, order, V, h):
+def eliminate_hard(block, rows, nu, tolerance, order, V, h, work):
     """Turn hard rows [controls | states], each of norm one, into pivot rows, carried rows and zero rows.
 
-    Columns of the first `nu` are exchanged by the size of what they hold, with `order` following. Reflection j is
+    Columns are exchanged by the size of what they hold, among the first `nu` with `order` following. Reflection j is
     stored as V[j], h[j]. Returns the number of pivot rows, whose left part is upper triangular, and of the rows after
-    them, zero on the left; the rows that remain are zero.
+    them, zero on the left; the rows that remain are zero. `work` has a row each for the columns' norms and places.
     """
     width = block.shape[1]
-    norms, work = np.empty(width), np.empty(width)
-    rank = 0
-    while rank < min(rows, nu):
-        column = _largest_column(block, rank, rows, rank, nu, norms)
-        if norms[column] <= tolerance:
-            break
-        _exchange_columns(block, rows, rank, column)
-        order[rank], order[column] = order[column], order[rank]
-        h[rank] = _reflect_hard(block, rank, rows, rank, rank + 1, V[rank], work)
-        rank += 1
+    norms, places, room = work[0], work[1], work[2]
+    rank = _pivot(block, 0, rows, 0, nu, tolerance, V, h, norms, places, room)
+    for j in range(nu):
+        room[j] = order[int(places[j])]
+    for j in range(nu):
+        order[j] = int(room[j])
     block[rank:rows, :nu] = 0.0
-    carried = 0
-    while rank + carried < rows and carried < width - nu:
-        top = rank + carried
-        column = _largest_column(block, top, rows, nu, width, norms)
-        if norms[column] <= tolerance:
+    used = _pivot(block, rank, rows, nu, width, tolerance, V, h, norms, places, room)
+    block[used:rows] = 0.0
+    for i in range(used):
+        for j in range(nu, width):
+            room[int(places[j])] = block[i, j]
+        block[i, nu:] = room[nu:width]
+    return rank, used - rank
+
+
+@njit(cache=True, nogil=True)
+def _pivot(block, top, rows, first, last, tolerance, V, h, norms, places, room):
+    """Triangularize block[top:rows, first:last], all columns to the right following; returns the end of its rows.
+
+    Norms of columns are updated as rows leave them, and taken anew where that cancels.
+    """
+    for j in range(first, last):
+        places[j] = j
+    _squared_norms(block, top, rows, first, last, norms)
+    fresh = 0.0
+    for j in range(first, last):
+        fresh = max(fresh, norms[j])
+    for c in range(first, last):
+        if top >= rows:
             break
-        h[top] = _reflect_hard(block, top, rows, column, nu, V[top], work)
-        carried += 1
-    block[rank + carried : rows] = 0.0
-    return rank, carried
+        column = c + np.argmax(norms[c:last])
+        if norms[column] <= CANCELLED * fresh:
+            _squared_norms(block, top, rows, c, last, norms)
+            column = c + np.argmax(norms[c:last])
+            fresh = norms[column]
+        if math.sqrt(max(norms[column], 0.0)) <= tolerance:
+            break
+        _exchange_columns(block, rows, c, column)
+        norms[c], norms[column] = norms[column], norms[c]
+        places[c], places[column] = places[column], places[c]
+        lead, inverse = _reflect(block[top], 0, block, top + 1, rows, c, block.shape[1], room)
+        v = V[top]
+        v[top] = lead
+        h[top] = 1.0 / inverse
+        for i in range(top + 1, rows):
+            v[i] = block[i, c] if lead != 0.0 else 0.0
+            block[i, c] = 0.0
+        for j in range(c + 1, last):
+            norms[j] -= block[top, j] * block[top, j]
+        top += 1
+    return top
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})  # sums in any order, so that they vectorize
@@ -227,14 +260,15 @@ def pivoted_cholesky_rows(S, F):
 def _reflect(head, shift, S, first, last, column, end, work):
     """Reflect the row `head`, whose columns are those of S less `shift`, and S[first:last]: column -> multiple of e_1.
 
-    Only columns from `column` to `end` are touched; below the head, `column` is left as it was.
+    Only columns from `column` to `end` are touched; below the head, `column` is left as it was. Returns the first entry
+    of v = (., column) and 2/v'v; zero and one where there is nothing to reflect.
     """
     alpha = head[column - shift]
     square = 0.0
     for i in range(first, last):
         square += S[i, column] * S[i, column]
     if square == 0.0:
-        return
+        return 0.0, 1.0
     beta = -math.copysign(math.sqrt(square + alpha * alpha), alpha)
     top = alpha - beta
     inverse = 1.0 / (-beta * top)  # 2 / v'v for v = (top, column)
@@ -264,46 +298,16 @@ def _reflect(head, shift, S, first, last, column, end, work):
         a = S[i, column]
         for j in range(column + 1, end):
             S[i, j] -= a * work[j]
+    return top, inverse
 
 
 @njit(cache=True, nogil=True)
-def _reflect_hard(block, top, rows, column, first, v, work):
-    """Reflect block[top:rows] in all columns from `first` on so that `column` vanishes below `top`; v and h = v'v/2."""
-    square = 0.0
-    for i in range(top, rows):
-        v[i] = block[i, column]
-        square += v[i] * v[i]
-    alpha = v[top]
-    beta = -math.copysign(math.sqrt(square), alpha)
-    v[top] = alpha - beta
-    h = -beta * v[top]
-    width = block.shape[1]
-    work[first:] = 0.0
-    for i in range(top, rows):
-        for j in range(first, width):
-            work[j] += v[i] * block[i, j]
-    for i in range(top, rows):
-        factor = v[i] / h
-        for j in range(first, width):
-            block[i, j] -= factor * work[j]
-    block[top, column] = beta
-    block[top + 1 : rows, column] = 0.0
-    return h
-
-
-@njit(cache=True, nogil=True)
-def _largest_column(block, top, rows, first, last, norms):
-    """Of the columns first to last the one with the largest norm over block[top:rows]; the norms are written."""
+def _squared_norms(block, top, rows, first, last, norms):
+    """Squares of the norms of the columns first to last of block[top:rows]."""
     norms[first:last] = 0.0
     for i in range(top, rows):
         for j in range(first, last):
             norms[j] += block[i, j] * block[i, j]
-    column = first
-    for j in range(first, last):
-        norms[j] = math.sqrt(norms[j])
-        if norms[j] > norms[column]:
-            column = j
-    return column
 
 
 @njit(cache=True, nogil=True)

@@ -66,7 +66,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjslq.lq.problem import LQProblem, NotPositiveDefinite
-from mjslq.lq.square_root_matrices import Factors, factorize_stages
+from mjslq.lq.square_root_matrices import Factors, empty_factors, factorize_stages
 from mjslq.lq.square_root_rows import (
     Infeasible,
     InitialStage,
@@ -87,8 +87,6 @@ __all__ = ["Factorization", "Infeasible", "PathRows", "Solution", "StateRows", "
 
 WIDE = 1e4
 """Spread of the squared pivots of T up to which rounding stays below 1e-11 without refinement."""
-SHRUNK = 10.0
-"""Factor by which a hard row may shrink in one step without refinement."""
 SMALL = 1e-9
 """Relative change by a refinement up to which no second one is made."""
 
@@ -138,6 +136,8 @@ class Solution(NamedTuple):
     """J, weighted rows included."""
     to_go: CostToGo
     """Cost-to-go."""
+    violation: float
+    """Largest |H x + C u - d| of the hard path and terminal rows, over the norms of their coefficients: rounding."""
 
 
 class _Pass(NamedTuple):
@@ -193,7 +193,7 @@ class Factorization(NamedTuple):
         Infeasible, Unbounded
         """
         changed = {
-            name: as_array(name, value, getattr(self.problem, name).shape)
+            name: _writable(as_array(name, value, getattr(self.problem, name).shape))
             for name, value in (("q", q), ("r", r), ("c", c))
             if value is not None
         }
@@ -214,6 +214,7 @@ class Factorization(NamedTuple):
             multipliers[: self.rows.paths], multipliers[self.rows.paths :], found.initial,
             self._cost(problem, found),
             CostToGo(self.factors.W, found.p, self.factors.E, found.v, found.psi),
+            self.rows.violation(found.X, found.U, d_hard),
         )  # fmt: skip
 
     def _pass(self, problem: LQProblem, d_hard: Array, d_weighted: Array, d_initial: Array, slack: float) -> _Pass:
@@ -297,8 +298,8 @@ def solve(
         What may be left of the right side of a row that depends on others, in rows scaled to norm one, besides
         rounding.
     refinements : int
-        Rounds of iterative refinement. Unless given, one with hard rows or where pivots spread, a second one where
-        the first changes much, none elsewhere.
+        Rounds of iterative refinement. Unless given, none for an initial state given, no hard rows and pivots of
+        similar size, else one, and a second one where the first changes much.
 
     Returns
     -------
@@ -356,41 +357,33 @@ def factorize(
     problem = _checked(problem)
     N, nx, nu = problem.B.shape
     rows = sorted_rows(path, terminal, N, nx, nu)
-    factors = _space(rows.hard.start, N, nx, nu)
+    factors = empty_factors(rows.hard.start, N, nx, nu)
     failed = factorize_stages(problem, rows.hard, rows.weighted, factors)
     if failed >= 0:
         raise NotPositiveDefinite(failed)
-    return Factorization(problem, rows, factors, initial_stage(initial, factors), slack, _rounds(factors))
+    start = initial_stage(initial, factors)
+    return Factorization(problem, rows, factors, start, slack, _rounds(rows, start, factors.T))
 
 
 def _checked(problem: LQProblem) -> LQProblem:
     B = as_array("B", problem.B, ("N", "nx", "nu"))
     N, nx, nu = B.shape
+    if not B.size:
+        raise ValueError(f"B must hold at least one step, state and control, got shape {B.shape}")
     shapes = {
         "A": (N, nx, nx), "B": (N, nx, nu), "Q": (N + 1, nx, nx), "R": (N, nu, nu), "M": (N, nu, nx),
         "q": (N + 1, nx), "r": (N, nu), "c": (N, nx),
     }  # fmt: skip
-    return LQProblem(**{name: as_array(name, getattr(problem, name), shape) for name, shape in shapes.items()})
+    arrays = {name: as_array(name, getattr(problem, name), shape) for name, shape in shapes.items()}
+    return LQProblem(**{name: _writable(array) for name, array in arrays.items()})
 
 
-def _space(start: Array, N: int, nx: int, nu: int) -> Factors:
-    """Arrays for the factors, with room for as many hard rows as can be carried."""
-    own, carried, most, tall = np.diff(start), 0, 0, 0
-    for n in range(N, -1, -1):
-        tall = max(tall, carried + int(own[n]))
-        carried = min(nx, carried + int(own[n]))
-        most = max(most, carried)
-    return Factors(
-        K=np.empty((N, nu, nx)), T=np.empty((N, nu, nu)), order=np.empty((N, nu), np.int64),
-        W=np.empty((N + 1, nx, nx)), E=np.zeros((N + 1, most, nx)),
-        pivots=np.empty(N + 1, np.int64), carried=np.empty(N + 1, np.int64),
-        V=np.zeros((N + 1, tall, tall)), h=np.zeros((N + 1, tall)), norm=np.zeros((N + 1, tall)),
-    )  # fmt: skip
+def _writable(array: Array) -> Array:
+    """The array, or a copy of one that is read-only, for which the kernels would have to be compiled again."""
+    return array if array.flags.writeable else array.copy()
 
 
-def _rounds(f: Factors) -> int:
-    """Whether refinement matters: pivots of T spread, or hard rows shrink on their way back."""
-    pivots = np.abs(f.T.diagonal(axis1=1, axis2=2))
-    is_carried = np.arange(f.norm.shape[1]) < f.carried[1:, None]
-    shrinking = f.norm[:-1].max(where=is_carried, initial=0.0)
-    return int((pivots.max() / pivots.min()) ** 2 > WIDE or shrinking > SHRUNK)
+def _rounds(rows: Sorting, initial: InitialStage, T: Array) -> int:
+    """Rounds of refinement that rounding asks for."""
+    pivots = np.abs(T.diagonal(axis1=1, axis2=2))
+    return int(rows.hard.scale.size > 0 or not initial.given or (pivots.max() / pivots.min()) ** 2 > WIDE)

@@ -20,6 +20,7 @@ from mjslq.lq.householder import (
     eliminate_hard,
     merge,
     pivoted_cholesky_rows,
+    reflect_variance,
     shear,
     solve_upper,
 )
@@ -29,6 +30,10 @@ Integers = np.ndarray[Any, np.dtype[np.int64]]
 
 DEPENDENT = 1e-12
 """Norm of what is left of a hard row, which was one, below which it depends on the others."""
+UNEVEN = 1e4
+"""Ratio of variances of right sides above which rows are weighted by them."""
+LEAST_WEIGHT = 1e-4
+"""Least weight of such a row."""
 
 
 class SortedRows(NamedTuple):
@@ -66,7 +71,25 @@ class Factors(NamedTuple):
     h: Array
     """Half of their squared norms. Shape (N + 1, h)."""
     norm: Array
-    """Reciprocal norms of the hard rows before the reflections. Shape (N + 1, h)."""
+    """Factors of the hard rows before the reflections, which make their norms one. Shape (N + 1, h)."""
+    noise: Array
+    """Variances of the offsets of carried rows, the squared rounding of one step being one. Shape (N + 1, e)."""
+
+
+def empty_factors(start: Integers, N: int, nx: int, nu: int) -> Factors:
+    """Arrays for the factors, with room for as many hard rows as can be carried."""
+    own, carried, most, tall = np.diff(start), 0, 0, 0
+    for n in range(N, -1, -1):
+        tall = max(tall, carried + int(own[n]))
+        carried = min(nx, carried + int(own[n]))
+        most = max(most, carried)
+    return Factors(
+        K=np.empty((N, nu, nx)), T=np.empty((N, nu, nu)), order=np.empty((N, nu), np.int64),
+        W=np.empty((N + 1, nx, nx)), E=np.zeros((N + 1, most, nx)),
+        pivots=np.empty(N + 1, np.int64), carried=np.empty(N + 1, np.int64),
+        V=np.zeros((N + 1, tall, tall)), h=np.zeros((N + 1, tall)), norm=np.zeros((N + 1, tall)),
+        noise=np.zeros((N + 1, most)),
+    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
@@ -77,7 +100,7 @@ def factorize_stages(lq, hard, weighted, f):
     S, block = np.empty((tall, nu + nx)), np.empty((f.h.shape[1], nu + nx))
     H, F, Z = np.zeros((nu + nx, nu + nx)), np.empty((nu + nx, nu + nx)), np.empty((nu, nu + nx))
     AB, product = np.empty((nx, nu + nx)), np.empty((max(nx, f.E.shape[1]), nu + nx))
-    work, size = np.empty(nu + nx), np.empty(nu)
+    work, size, space = np.empty(nu + nx), np.empty(nu), np.empty((3, nu + nx))
     if not _terminal(lq, hard, weighted, f, H, F, S, block, work):
         return N
     for n in range(N - 1, -1, -1):
@@ -86,7 +109,7 @@ def factorize_stages(lq, hard, weighted, f):
         order = f.order[n]
         rank = 0
         if f.carried[n + 1] + hard.start[n + 1] - hard.start[n]:
-            rank = _hard_stage(hard, f, n, AB, product, block, order)
+            rank = _hard_stage(hard, f, n, AB, product, block, order, space)
         else:
             f.pivots[n], f.carried[n] = 0, 0
             for i in range(nu):
@@ -134,53 +157,89 @@ def _terminal(lq, hard, weighted, f, H, F, S, block, work):
     rows = _add_weighted(weighted, N, S, rows, nu)
     merge(F[nu:, nu:], S, 0, rows, nu, work)
     _take_upper(F, nu, f.W[N])
-    none = np.empty((0, 0))
-    _hard_stage(hard, f, N, none, none, block, np.empty(nu, np.int64))
+    f.pivots[N], f.carried[N] = 0, 0
+    if hard.start[N + 1] > hard.start[N]:
+        none = np.empty((0, 0))
+        _hard_stage(hard, f, N, none, none, block, np.empty(nu, np.int64), np.empty((3, H.shape[0])))
     return True
 
 
 @njit(cache=True, nogil=True)
-def _hard_stage(hard, f, n, AB, product, block, order):
-    """Hard rows of step n into `block`, transformed; returns how many controls they determine."""
-    nu, rank, carried = order.size, 0, 0
-    for i in range(nu):
-        order[i] = i
-    rows = hard.start[n + 1] - hard.start[n]
-    if n + 1 < f.carried.size:
-        rows += f.carried[n + 1]
-    if rows:
-        _gather(hard, f, n, AB, product, block)
-        rank, carried = eliminate_hard(block, rows, nu, DEPENDENT, order, f.V[n], f.h[n])
-        for i in range(carried):
-            f.E[n, i] = block[rank + i, nu:]
+def _hard_stage(hard, f, n, AB, product, block, order, work):
+    """Hard rows of step n into `block`, transformed; returns how many controls they determine.
+
+    Rows with far more rounding behind them than others get less weight, lest they spoil what the others tell: offsets
+    that come back through dynamics which forget the state.
+    """
+    V, h, least = f.V[n], f.h[n], 1.0
+    for attempt in range(3):
+        rows, noise = _gather(hard, f, n, AB, product, block, least)
+        for i in range(order.size):
+            order[i] = i
+        rank, carried = eliminate_hard(block, rows, order.size, DEPENDENT, order, V, h, work)
+        if attempt == 0:
+            independent = rank + carried
+            if noise[:rows].max() <= UNEVEN * noise[:rows].min():
+                break
+            least = LEAST_WEIGHT
+        elif rank + carried == independent:
+            break
+        else:
+            least = 1.0
+    reflect_variance(V, h, rank + carried, rows, noise)
+    for i in range(carried):
+        f.E[n, i] = block[rank + i, order.size :]
+        f.noise[n, i] = noise[rank + i]
     f.pivots[n], f.carried[n] = rank, carried
     return rank
 
 
 @njit(cache=True, nogil=True)
-def _gather(hard, f, n, AB, product, block):
-    """Write the hard rows of step n, [controls | states] of norm one: those carried back, then its own."""
+def _gather(hard, f, n, AB, product, block, least):
+    """Write the hard rows of step n, [controls | states] of norm one: those carried back, then its own.
+
+    Returns their number and the variances of their right sides, the squared rounding of one step being one; rows are
+    weighted by the inverse root of these, at least by `least`.
+    """
     nu, count = hard.C.shape[1], 0
+    noise = np.ones(block.shape[0])
     if n + 1 < f.carried.size:
         count = f.carried[n + 1]
         if count:
-            largest = math.sqrt((AB * AB).sum())
+            largest = _norm(AB.ravel())
             multiply(f.E[n + 1, :count], AB, product[:count])
             for i in range(count):
-                row = f.E[n + 1, i]
                 block[i] = product[i]
-                f.norm[n, i] = _unit(block[i], largest * math.sqrt((row * row).sum()))
+                f.norm[n, i] = _unit(block[i], largest * _norm(f.E[n + 1, i]))
+                noise[i] = (1.0 + f.noise[n + 1, i]) * f.norm[n, i] ** 2
     for m in range(hard.start[n], hard.start[n + 1]):
         i = count + m - hard.start[n]
         block[i, :nu] = hard.C[m]
         block[i, nu:] = hard.H[m]
         f.norm[n, i] = _unit(block[i], 0.0)
+    rows = count + hard.start[n + 1] - hard.start[n]
+    if rows and least < 1.0:
+        smallest = noise[:rows].min()
+        for i in range(rows):
+            weight = max(least, math.sqrt(smallest / noise[i]))
+            block[i] *= weight
+            f.norm[n, i] *= weight
+            noise[i] *= weight * weight
+    return rows, noise
+
+
+@njit(cache=True, nogil=True)
+def _norm(x):
+    total = 0.0
+    for entry in x:
+        total += entry * entry
+    return math.sqrt(total)
 
 
 @njit(cache=True, nogil=True)
 def _unit(row, size):
     """Scale the row to norm one, or to zero where it vanishes beside `size`; the factor for its right side."""
-    norm = math.sqrt((row * row).sum())
+    norm = _norm(row)
     if norm <= DEPENDENT * size:
         row[:] = 0.0
         return 1.0 / size if size > 0.0 else 1.0

@@ -57,13 +57,13 @@ class Row(NamedTuple):
 
     kind: str
     """"path", "terminal" or "initial"."""
-    index: int
+    number: int
     """Place among the rows of this kind; that of the component where the initial state is given."""
     step: int
     """Its step."""
 
     def __str__(self) -> str:
-        return f"{self.kind} row {self.index} (step {self.step})"
+        return f"{self.kind} row {self.number} (step {self.step})"
 
 
 class Infeasible(ArithmeticError):
@@ -117,10 +117,21 @@ class Sorting(NamedTuple):
         merged[self.from_hard], merged[self.from_weighted] = hard, weighted
         return merged
 
+    def violation(self, X: Array, U: Array, d_hard: Array) -> float:
+        """Largest residual of a hard row over its norm."""
+        H, C, _, start = self.hard
+        step = np.repeat(np.arange(len(start) - 1), np.diff(start))
+        rest = (H * X[step]).sum(axis=1) + (C * U[np.minimum(step, len(U) - 1)]).sum(axis=1) - d_hard
+        return float(np.abs(rest / self._norms()).max(initial=0.0))
+
+    def _norms(self) -> Array:
+        """Norms of the hard rows; one for rows without coefficients."""
+        norms = np.hypot(np.linalg.norm(self.hard.H, axis=1), np.linalg.norm(self.hard.C, axis=1))
+        return np.where(norms > 0.0, norms, 1.0)
+
     def named(self, hard: Array) -> tuple[list[Row], Array]:
         """Rows with more than negligible multipliers, and these."""
-        norms = np.hypot(np.linalg.norm(self.hard.H, axis=1), np.linalg.norm(self.hard.C, axis=1))
-        sizes = np.abs(hard) * np.where(norms > 0.0, norms, 1.0)
+        sizes = np.abs(hard) * self._norms()
         chosen = np.flatnonzero(sizes > NAMED * sizes.max(initial=0.0))
         rows = []
         for i in chosen:
@@ -139,11 +150,12 @@ def sorted_rows(path: PathRows | None, terminal: StateRows | None, N: int, nx: i
     C = np.concatenate([C, np.zeros((len(d_end), nu))])
     order = np.argsort(step, kind="stable")
     hard, weighted = order[scale[order] == 0.0], order[scale[order] > 0.0]
-    kinds = [
-        SortedRows(H[rows], C[rows], scale[rows], np.searchsorted(step[rows], np.arange(N + 2)).astype(np.int64))
-        for rows in (hard, weighted)
-    ]
-    return Sorting(*kinds, d, len(d) - len(d_end), hard, weighted)
+
+    def taken(rows: Integers) -> SortedRows:
+        start = np.searchsorted(step[rows], np.arange(N + 2)).astype(np.int64)
+        return SortedRows(H[rows], C[rows], scale[rows], start)
+
+    return Sorting(taken(hard), taken(weighted), d, len(d) - len(d_end), hard, weighted)
 
 
 def _checked_path(path: PathRows | None, N: int, nx: int, nu: int) -> tuple[Integers, Array, Array, Array, Array]:
