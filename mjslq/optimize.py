@@ -197,7 +197,10 @@ def _settings(problem: Problem, method: str, preset: str | None, asked: dict[str
     if "tol" in asked:  # it stands for both tolerances, the problem's own included
         own = {name: value for name, value in own.items() if not name.startswith("tol")}
     if preset is not None:
-        own |= PRESETS.get(method, {})[choose(f"preset of method {method!r}", preset, PRESETS.get(method, {}))]
+        if method not in PRESETS:
+            there = "; ".join(f"{name!r} has: {', '.join(presets)}" for name, presets in PRESETS.items())
+            raise ValueError(f"method {method!r} has no presets; {there}")
+        own |= PRESETS[method][choose(f"preset of method {method!r}", preset, PRESETS[method])]
     return own | asked
 
 

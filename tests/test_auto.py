@@ -55,7 +55,8 @@ def judge(problem, U0):
 WEAK_PENDULUM = """
 <mujoco><option timestep="0.02" integrator="implicitfast"><flag contact="disable"/></option><worldbody>
 <body><joint name="hinge" axis="0 1 0" damping="0.01"/>
-<geom type="capsule" fromto="0 0 0 0 0 0.5" size="0.02" mass="1"/></body></worldbody><actuator><motor joint="hinge" ctrlrange="-0.8 0.8"/></actuator></mujoco>"""
+<geom type="capsule" fromto="0 0 0 0 0 0.5" size="0.02" mass="1"/></body></worldbody>
+<actuator><motor joint="hinge" ctrlrange="-0.8 0.8"/></actuator></mujoco>"""
 
 
 def weak_pendulum():
