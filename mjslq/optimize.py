@@ -219,7 +219,7 @@ def _refuse_wrong_derivatives(problem: Problem, U: Any) -> None:
     for name in check.suspects:
         step, row, column = check.worst[name]
         raise ValueError(
-            f"derivative check: {name} is off at {check.share[name]:.0%} of the knots, most at "
+            f"derivative check: {name} is off at {len(check.wrong[name]) / check.knots[name]:.0%} of the knots, most at "
             f"{name}[{step}, {row}, {column}] by {check.errors[name]:.1e} of the largest entry; "
             f"give a correct jacobian, or one by finite differences"
         )

@@ -7,6 +7,8 @@ from collections.abc import Callable
 import mujoco
 
 _RK4 = mujoco.mjtIntegrator.mjINT_RK4
+_NO_INERTIA = 1e-11
+"""Inertia that a joint has only because the compiler gives massless bodies a tiny one."""
 _CALLBACKS = ("control", "passive", "act_dyn", "act_gain", "act_bias", "sensor", "contactfilter")
 
 REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
@@ -42,6 +44,20 @@ def refuse_unsupported(model: mujoco.MjModel) -> None:
         if is_so(model):
             raise ValueError(f"this model is not supported: {reason}")
     refuse_callbacks()
+
+
+def massless_joints(model: mujoco.MjModel) -> list[str]:
+    """Name the joints that move no mass, a sentence each: any force makes their acceleration too large."""
+    sentences = []
+    for j in range(model.njnt):
+        first = int(model.jnt_dofadr[j])
+        last = int(model.jnt_dofadr[j + 1]) if j + 1 < model.njnt else model.nv
+        if (model.dof_M0[first:last] < _NO_INERTIA).any():
+            name = model.joint(j).name or str(j)
+            sentences.append(
+                f"joint {name!r} moves no mass: give a link beyond it an inertia, or the joint an armature"
+            )
+    return sentences
 
 
 def refuse_callbacks() -> None:

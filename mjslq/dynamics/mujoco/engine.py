@@ -244,6 +244,12 @@ class MujocoDynamics(Dynamics):
         """Return the compiled model, and where its pose is in x, for a viewer."""
         return self._scene
 
+    def faults(self) -> list[str]:
+        """What makes the model impossible to simulate, a sentence each; see `Dynamics`."""
+        from mjslq.dynamics.mujoco.checks import massless_joints
+
+        return massless_joints(self.model)
+
     def support_report(self) -> list[tuple[str, str]]:
         """List the model's parts and what serves each of them, as (part, what serves it)."""
         from mjslq.dynamics.mujoco.report import report
@@ -252,6 +258,7 @@ class MujocoDynamics(Dynamics):
         parts = report(self.model, differences, self.jacobian)
         if self.substeps > 1:
             parts.insert(1, (f"{self.substeps} substeps", f"of {self.model.opt.timestep:g} s, the control held"))
+        parts += [("not to be simulated", fault) for fault in self.faults()]
         return parts
 
     @cached_property

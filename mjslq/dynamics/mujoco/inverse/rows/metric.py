@@ -23,6 +23,7 @@ import math
 
 from numba import types
 
+from mjslq.dynamics.mujoco.inverse.forces.kinks import sign
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
 from mjslq.dynamics.mujoco.inverse.table.columns import (
     ACTUATOR_NUMBERS,
@@ -58,7 +59,7 @@ def add_metric(job, acc, F, T, E):
 @inlined
 def _curve(first, second, third, x):
     """Slope of the force first x + second x |x| + third x^3, and the slope's own."""
-    return first + 2.0 * second * abs(x) + 3.0 * third * x * x, math.copysign(2.0, x) * second + 6.0 * third * x
+    return first + 2.0 * second * abs(x) + 3.0 * third * x * x, 2.0 * sign(x) * second + 6.0 * third * x
 
 
 @inlined
