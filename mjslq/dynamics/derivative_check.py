@@ -83,8 +83,9 @@ class DerivativeCheck:
         if kinks:
             names = ", ".join(name for name, knots in self.kinks.items() if knots)
             return (
-                f"a kink at {len(kinks)} of {max(self.knots.values())} knots: the one-sided differences of the step differ there, as "
-                f"at joint limits, control limits, and contacts that open or close, and {names} agrees with them"
+                f"a kink at {len(kinks)} of {max(self.knots.values())} knots: there the one-sided differences of the "
+                f"step differ, as at joint limits, control limits and contacts that open or close, and {names} agrees "
+                "with one of them or lies between"
             )
         return "the Jacobians agree with the differences at all knots"
 

@@ -235,7 +235,7 @@ class Dynamics(ABC):
     def check_derivatives(self, trajectory: Trajectory) -> DerivativeCheck:
         """Compare `linearize` with fine differences of `step` at every knot of `trajectory`.
 
-        Kinks, where the one-sided differences differ and the Jacobian agrees with them, are told from wrong derivatives.
+        Kinks, where the two one-sided differences differ and the Jacobian agrees, are told from wrong derivatives.
         """
         return check_jacobians(self, trajectory)
 

@@ -53,8 +53,9 @@ class MujocoDynamics(Dynamics):
         the knots are kept as `Trajectory.substates`; outputs are read, and differentiated, at the knots alone.
     jacobian
         How `linearize` works: "inverse" differentiates the inverse dynamics of the step, analytically wherever
-        possible, and covers most models; "transition" takes differences of the step (mjd_transitionFD), many times
-        slower, and covers all, RK4 by centred differences of its own; "auto" is "inverse" where that covers the model. `support_report` says which, and why.
+        possible, and covers most models (those with the integrator RK4 by chaining its four stages); "transition"
+        takes differences of the step, by mjd_transitionFD or, with RK4, by plain simulation, many times slower, and
+        covers all; "auto" is "inverse" where that covers the model. `support_report` says which, and why.
     threads
         How many threads `linearize` may use; None for one per usable core.
     eps, centered
