@@ -52,7 +52,7 @@ class RungeKuttaJacobians:
         self._ranges = activation_ranges(model)
 
     def linearize(self, X: Array, U: Array, substates: Array) -> Linearization:
-        """Jacobians of the steps from X (N + 1, nx) under U (N, nu), through substates (N, k - 1, nx), and of outputs."""
+        """Jacobians of the steps from X (N + 1, nx) under U (N, nu), through substates (N, k - 1, nx)."""
         N, k, ndx, nu = len(U), substates.shape[1] + 1, self._space.ndx, U.shape[1]
         starts = np.concatenate([X[:-1, None], substates], axis=1).reshape(N * k, -1)
         A, B, C, D = self._single_steps(np.vstack([starts, X[-1:]]), np.repeat(U, k, axis=0))
