@@ -125,7 +125,9 @@ def test_the_integrator_can_be_chosen(name, number):
 
 @pytest.mark.parametrize("name", ["rk5", 3])
 def test_unknown_integrators_are_refused(name):
-    with pytest.raises(ValueError, match="unknown integrator .*; there are: Euler, implicit, implicitfast, discrete, RK4"):
+    with pytest.raises(
+        ValueError, match=r"unknown integrator .*; there are: Euler, implicit, implicitfast, discrete, RK4"
+    ):
         MujocoDynamics.from_xml(HEAD + MODELS["acrobot"], integrator=name)
 
 
