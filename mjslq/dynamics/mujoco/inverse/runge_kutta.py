@@ -117,6 +117,7 @@ class RungeKuttaJacobians:
         if back is None:
             return y, Z + dd
         forth = self._space.difference_jacobian(y, x)
+        assert forth is not None
         return y, np.linalg.solve(back, forth @ Z + dd)
 
     def _clip_activations(self, end: Array, Z: Array) -> None:
