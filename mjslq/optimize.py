@@ -155,6 +155,8 @@ def solve(
     """
     if not isinstance(problem, Problem):
         raise ValueError(f"problem must be a mjslq.Problem, got {type(problem).__name__}")
+    if problem.dynamics.nu == 0:
+        raise ValueError("this model has no controls, so there is nothing to optimize; give it actuators")
     method = choose("method", method, [*METHODS, *ALIASES])
     method = ALIASES.get(method, method)
     chosen = METHODS[method]
@@ -221,8 +223,9 @@ def _refuse_wrong_derivatives(problem: Problem, U: Any) -> None:
     check = problem.dynamics.check_derivatives(trajectory)
     for name in check.suspects:
         step, row, column = check.worst[name]
+        share = len(check.wrong[name]) / check.knots[name]
         raise ValueError(
-            f"derivative check: {name} is off at {check.share[name]:.0%} of the knots, most at "
+            f"derivative check: {name} is off at {share:.0%} of the knots, most at "
             f"{name}[{step}, {row}, {column}] by {check.errors[name]:.1e} of the largest entry; "
             f"give a correct jacobian, or one by finite differences"
         )

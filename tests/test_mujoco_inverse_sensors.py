@@ -28,7 +28,9 @@ def assert_sensors(
     """Each sensor by itself, relative to its own derivatives; returns which of them have any."""
     assert not trajectory.diverged
     ours, fine = dynamics.linearize(trajectory), fine_reference(dynamics, trajectory, eps)
-    theirs = dynamics.simulator.linearize_transition(trajectory, 1e-6, False)
+    theirs = MujocoDynamics.from_model(
+        dynamics.model, jacobian="transition", centered=False, substeps=dynamics.substeps, threads=1
+    ).linearize(trajectory)
     model, alive = dynamics.model, np.zeros(dynamics.model.nsensor, bool)
     for s in range(model.nsensor):
         rows = slice(model.sensor_adr[s], model.sensor_adr[s] + model.sensor_dim[s])

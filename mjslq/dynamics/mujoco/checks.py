@@ -6,16 +6,22 @@ from collections.abc import Callable
 
 import mujoco
 
-_RK4 = mujoco.mjtIntegrator.mjINT_RK4
+from mjslq.validation import choose
+
+INTEGRATORS = {
+    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
+    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
+}
+"""MuJoCo's integrators by name."""
+_NO_INERTIA = 1e-11
+"""Inertia that a joint has only because the compiler gives massless bodies a tiny one."""
 _CALLBACKS = ("control", "passive", "act_dyn", "act_gain", "act_bias", "sensor", "contactfilter")
 
 REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
     (lambda m: m.nv == 0, "it has no joints, so nothing can move; give a body a joint"),
-    (lambda m: m.nu == 0, "it has no actuators, so there is nothing to optimize; add some under <actuator>"),
-    (
-        lambda m: m.opt.integrator == _RK4,
-        'its integrator is RK4, which MuJoCo cannot linearize; use <option integrator="implicitfast"/> or "Euler"',
-    ),
     (
         lambda m: bool(m.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP),
         'sleeping is enabled, and who sleeps is not part of the state x; use <flag sleep="disable"/>',
@@ -42,6 +48,27 @@ def refuse_unsupported(model: mujoco.MjModel) -> None:
         if is_so(model):
             raise ValueError(f"this model is not supported: {reason}")
     refuse_callbacks()
+
+
+def massless_joints(model: mujoco.MjModel) -> list[str]:
+    """Name the joints that move no mass, a sentence each: any force makes their acceleration too large."""
+    sentences = []
+    for j in range(model.njnt):
+        first = int(model.jnt_dofadr[j])
+        last = int(model.jnt_dofadr[j + 1]) if j + 1 < model.njnt else model.nv
+        if (model.dof_M0[first:last] < _NO_INERTIA).any():
+            name = model.joint(j).name or str(j)
+            sentences.append(
+                f"joint {name!r} moves no mass: give a link beyond it an inertia, or the joint an armature"
+            )
+    return sentences
+
+
+def integrator_named(name: str) -> mujoco.mjtIntegrator:
+    """Look up an integrator, upper and lower case alike. Raises ValueError, which lists the names there are."""
+    spelled = {known.lower(): known for known in INTEGRATORS}
+    lowered = name.lower() if isinstance(name, str) else name
+    return INTEGRATORS[choose("integrator", spelled.get(lowered, name), INTEGRATORS)]
 
 
 def refuse_callbacks() -> None:

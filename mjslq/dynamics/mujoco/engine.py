@@ -19,7 +19,7 @@ import copy
 import os
 import threading
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +35,9 @@ if TYPE_CHECKING:
     import mujoco
 
     from mjslq.dynamics.mujoco.inverse.jacobians import InverseJacobians
+    from mjslq.dynamics.mujoco.inverse.runge_kutta import RungeKuttaJacobians
     from mjslq.dynamics.mujoco.simulator import Simulator
+    from mjslq.dynamics.mujoco.step_differences import OneSided
 
 
 class MujocoDynamics(Dynamics):
@@ -45,18 +47,22 @@ class MujocoDynamics(Dynamics):
 
     timestep
         Length of a simulator step in place of the model's own. [s]
+    integrator
+        MuJoCo's integrator in place of the model's own: "Euler", "implicit", "implicitfast", "discrete" or "RK4".
     substeps
         How many simulator steps a control is held for, k: a step of the horizon takes dt = k timestep. States between
         the knots are kept as `Trajectory.substates`; outputs are read, and differentiated, at the knots alone.
     jacobian
         How `linearize` works: "inverse" differentiates the inverse dynamics of the step, analytically wherever
-        possible, and covers most models; "transition" takes differences of the step (mjd_transitionFD), many times
-        slower, and covers all; "auto" is "inverse" where that covers the model. `support_report` says which, and why.
+        possible, and covers most models (those with the integrator RK4 by chaining its four stages); "transition"
+        takes differences of the step, by mjd_transitionFD or, with RK4, by plain simulation, many times slower, and
+        covers all; "auto" is "inverse" where that covers the model. `support_report` says which, and why.
     threads
         How many threads `linearize` may use; None for one per usable core.
     eps, centered
         Size of the differences where some are taken, and whether they are taken to both sides (twice the time, far
-        smaller error: about 1e-7 in contact, 1e-9 without).
+        smaller error: about 1e-7 in contact, 1e-9 without); with RK4 they always are. To both sides, "transition" takes
+        eps / 100 where a kink is nearer than eps.
 
     They raise ValueError when the model cannot be read, or is not supported; the sentence says why and what helps.
     """
@@ -66,6 +72,7 @@ class MujocoDynamics(Dynamics):
         model: mujoco.MjModel,
         *,
         timestep: float | None = None,
+        integrator: str | None = None,
         substeps: int = 1,
         jacobian: str = "auto",
         threads: int | None = None,
@@ -74,7 +81,7 @@ class MujocoDynamics(Dynamics):
         name: str | None = None,
     ):
         from mjslq.dynamics.mujoco import names
-        from mjslq.dynamics.mujoco.checks import refuse_unsupported
+        from mjslq.dynamics.mujoco.checks import integrator_named, refuse_unsupported
         from mjslq.dynamics.mujoco.inverse.cover import choose_jacobian
         from mjslq.dynamics.mujoco.states import state_space
 
@@ -83,6 +90,8 @@ class MujocoDynamics(Dynamics):
         """The compiled model, a copy of what was given. Not to be changed."""
         if timestep is not None:
             self.model.opt.timestep = positive("timestep", timestep)
+        if integrator is not None:
+            self.model.opt.integrator = integrator_named(integrator)
         self.nx, self.ndx, self.nv = model.nq + model.nv + model.na, 2 * model.nv + model.na, model.nv
         self.nu, self.ny = model.nu, model.nsensordata
         self.substeps = count("substeps", substeps)
@@ -235,14 +244,25 @@ class MujocoDynamics(Dynamics):
 
     def linearize_steps(self, X: Array, U: Array, F: Array) -> Linearization:
         """Jacobians of steps that need not follow each other; see `Dynamics`."""
+        from mjslq.dynamics.mujoco.inverse.table.continuous import is_runge_kutta
+
         if self.jacobian != "inverse":
             return super().linearize_steps(X, U, F)
         with self._lock:
-            return self._inverse.linearize(X, U, self.simulator.substates(X, U), F)
+            substates = self.simulator.substates(X, U)
+            if is_runge_kutta(self.model):
+                return self._runge_kutta.linearize(X, U, substates)
+            return self._inverse.linearize(X, U, substates, F)
 
     def scene(self) -> Scene:
         """Return the compiled model, and where its pose is in x, for a viewer."""
         return self._scene
+
+    def faults(self) -> list[str]:
+        """What makes the model impossible to simulate, a sentence each; see `Dynamics`."""
+        from mjslq.dynamics.mujoco.checks import massless_joints
+
+        return massless_joints(self.model)
 
     def support_report(self) -> list[tuple[str, str]]:
         """List the model's parts and what serves each of them, as (part, what serves it)."""
@@ -252,6 +272,7 @@ class MujocoDynamics(Dynamics):
         parts = report(self.model, differences, self.jacobian)
         if self.substeps > 1:
             parts.insert(1, (f"{self.substeps} substeps", f"of {self.model.opt.timestep:g} s, the control held"))
+        parts += [("not to be simulated", fault) for fault in self.faults()]
         return parts
 
     @cached_property
@@ -277,12 +298,32 @@ class MujocoDynamics(Dynamics):
 
         return InverseJacobians(self.simulator, self._eps, self._centered)
 
+    @cached_property
+    def _runge_kutta(self) -> RungeKuttaJacobians:
+        from mjslq.dynamics.mujoco.inverse.runge_kutta import RungeKuttaJacobians
+
+        return RungeKuttaJacobians(self.model, self.space, self._threads, self._eps, self._centered)
+
     def _linearize_inverse(self, trajectory: Trajectory) -> Linearization:
+        from mjslq.dynamics.mujoco.inverse.table.continuous import is_runge_kutta
+
         substates = self.simulator.known_substates(trajectory)
+        if is_runge_kutta(self.model):
+            return self._runge_kutta.linearize(trajectory.X, trajectory.U, substates)
         return self._inverse.linearize(trajectory.X, trajectory.U, substates, trajectory.X[1:])
 
     def _linearize_transition(self, trajectory: Trajectory) -> Linearization:
-        return self.simulator.linearize_transition(trajectory, self._eps, self._centered)
+        from mjslq.dynamics.mujoco.inverse.table.continuous import is_runge_kutta
+        from mjslq.dynamics.mujoco.step_differences import centred_differences, step_differences
+
+        X, U, S = trajectory.X, trajectory.U, self.simulator.known_substates(trajectory)
+        if is_runge_kutta(self.model):
+            one_sided: OneSided = partial(step_differences, self.simulator, self.space, self.control_limits)
+        elif self._centered:
+            one_sided = self.simulator.transition
+        else:
+            return self.simulator.transition(X, U, S, self._eps)
+        return centred_differences(one_sided, X, U, S, self._eps, outputs=self.ny > 0)
 
     def _keyframe_index(self, name: str) -> int:
         return self.keyframe_names.index(choose("keyframe", name, self.keyframe_names))

@@ -5,7 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from mjslq.dynamics.mujoco.checks import INTEGRATORS
 from mjslq.dynamics.mujoco.inverse.cover import describe, refusals
+from mjslq.dynamics.mujoco.inverse.table.continuous import is_runge_kutta
 from mjslq.dynamics.mujoco.inverse.table.plan import can_be_constrained, has_contacts
 from mjslq.dynamics.mujoco.names import control_limits
 
@@ -15,12 +17,7 @@ _JOINT_NAMES = {
     mujoco.mjtJoint.mjJNT_SLIDE: "slide joints",
     mujoco.mjtJoint.mjJNT_HINGE: "hinge joints",
 }
-_INTEGRATORS = {
-    mujoco.mjtIntegrator.mjINT_EULER: "Euler",
-    mujoco.mjtIntegrator.mjINT_IMPLICIT: "implicit",
-    mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast",
-    mujoco.mjtIntegrator.mjINT_DISCRETE: "discrete",
-}
+_INTEGRATORS = {kind: name for name, kind in INTEGRATORS.items()}
 _SOLVERS = {
     mujoco.mjtSolver.mjSOL_PGS: "PGS",
     mujoco.mjtSolver.mjSOL_CG: "CG",
@@ -33,7 +30,8 @@ _FEW_ITERATIONS = 20
 def report(model: mujoco.MjModel, differences: str, jacobian: str) -> list[tuple[str, str]]:
     """List the parts `model` has as (part, what serves it); `differences` says how "transition" linearizes the step."""
     if jacobian == "inverse":
-        return _parts(model, "analytic, through the inverse dynamics") + describe(model)
+        chained = ", its four stages chained" if is_runge_kutta(model) else ""
+        return _parts(model, f"analytic, through the inverse dynamics{chained}") + describe(model)
     reasons = "; ".join(refusals(model)) or "not asked for"
     return [*_parts(model, differences), *_rest(model, differences), ('no jacobian="inverse"', reasons)]
 

@@ -72,15 +72,19 @@ class Simulator:
         """States between the knots, simulated from each knot. Shape (N, k - 1, nx)."""
         return self.step_each(X, U)[1] if self.substeps > 1 else self._substates(len(U))
 
-    def linearize_transition(self, trajectory: Trajectory, eps: float, centered: bool) -> Linearization:
-        """Take differences of the step, the knots shared out among the threads."""
-        N, nu, ny, ndx = trajectory.horizon, self.model.nu, self.model.nsensordata, self.ndx
+    def transition(self, X: Array, U: Array, S: Array, eps: float) -> Linearization:
+        """One-sided differences of the step by mjd_transitionFD, to the side that eps's sign says.
+
+        States X (M, nx) or (M + 1, nx) under U (M, nu), states between S (M, k - 1, nx); the outputs of a last knot
+        without a step are read without control. The knots are shared out among the threads.
+        """
+        knots, M, nu, ny, ndx = len(X), len(U), self.model.nu, self.model.nsensordata, self.ndx
         result = Linearization(
-            np.zeros((N, ndx, ndx)), np.zeros((N, ndx, nu)), np.zeros((N + 1, ny, ndx)), np.zeros((N + 1, ny, nu))
+            np.zeros((M, ndx, ndx)), np.zeros((M, ndx, nu)), np.zeros((knots, ny, ndx)), np.zeros((knots, ny, nu))
         )
-        S = self.known_substates(trajectory)
-        given = {"X": trajectory.X, "U": trajectory.U, "S": S, "eps": eps, "centered": centered}
-        self._run_knots(kernels.transition, N + 1 if ny else N, N, given | result._asdict())
+        states = {"X": X, "U": U, "S": S}
+        given = {name: np.ascontiguousarray(array) for name, array in states.items()} | {"eps": eps, "centered": False}
+        self._run_knots(kernels.transition, knots if ny else M, M, given | result._asdict())
         return result
 
     def known_substates(self, trajectory: Trajectory) -> Array:

@@ -20,6 +20,7 @@ from mjslq.dynamics.mujoco.inverse.forces.unmodelled_forces import (
 )
 from mjslq.dynamics.mujoco.inverse.readings.outputs import TYPES, sensors
 from mjslq.dynamics.mujoco.inverse.table import columns
+from mjslq.dynamics.mujoco.inverse.table.continuous import continuous_model, has_odd_activations, is_runge_kutta
 from mjslq.dynamics.mujoco.inverse.table.fluid_plan import in_fluid
 from mjslq.dynamics.mujoco.inverse.table.plan import (
     EQ,
@@ -59,6 +60,8 @@ def choose_jacobian(model: mujoco.MjModel, wanted: str) -> str:
 
 def describe(model: mujoco.MjModel) -> list[tuple[str, str]]:
     """What serves the sensors and the constraints of a covered model, as (part, what serves it)."""
+    if is_runge_kutta(model):
+        model = continuous_model(model)
     rows = _forces(model) + _describe_sensors(model)
     if model.neq:
         rows.append((f"{model.neq} equality constraints", _served_equalities(model)))
@@ -124,7 +127,12 @@ def _describe_sensors(model: mujoco.MjModel) -> list[tuple[str, str]]:
 
 def refusals(model: mujoco.MjModel) -> list[str]:
     """What `model` has that the inverse Jacobians do not cover; empty when they cover it."""
-    return [reason for is_so, reason in _REFUSALS if is_so(model)]
+    reasons = []
+    if is_runge_kutta(model):
+        if has_odd_activations(model):
+            reasons.append("RK4 advances its activations in a way of its own")
+        model = continuous_model(model)
+    return reasons + [reason for is_so, reason in _REFUSALS if is_so(model)]
 
 
 def _odd_drag(model: mujoco.MjModel) -> bool:

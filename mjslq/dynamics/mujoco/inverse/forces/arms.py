@@ -27,6 +27,7 @@ import math
 
 from numba import types
 
+from mjslq.dynamics.mujoco.inverse.forces.kinks import displacement, sign
 from mjslq.dynamics.mujoco.inverse.rows.constraints import mj_tendon
 from mjslq.dynamics.mujoco.inverse.rows.differences import mj_comPos, mj_integratePos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.spatial import (
@@ -208,14 +209,14 @@ def _spread(r, sizes, starts, places, entries, row):
 @inlined
 def tendon_force(prm, length, velocity):
     """Force of a tendon's spring and damper, its derivatives by length and velocity, and by velocity twice."""
-    x = max(length - prm[BAND + 1], 0.0) + min(length - prm[BAND], 0.0)
+    x, outside = displacement(length, prm[BAND], prm[BAND + 1])
     k1, k2, k3 = prm[STIFFNESS], prm[STIFFNESS + 1], prm[STIFFNESS + 2]
     d1, d2, d3 = prm[DAMPING], prm[DAMPING + 1], prm[DAMPING + 2]
     size = abs(velocity)
     force = -x * (k1 + x * (k2 + x * k3)) - velocity * (d1 + size * (d2 + size * d3))
-    slope = -(k1 + x * (2.0 * k2 + x * 3.0 * k3)) if x != 0.0 else 0.0
+    slope = -outside * (k1 + x * (2.0 * k2 + x * 3.0 * k3))
     drag = -(d1 + size * (2.0 * d2 + size * 3.0 * d3))
-    return force, slope, drag, -2.0 * math.copysign(d2, d2 * velocity) - 6.0 * d3 * velocity
+    return force, slope, drag, -2.0 * d2 * sign(velocity) - 6.0 * d3 * velocity
 
 
 @compiled

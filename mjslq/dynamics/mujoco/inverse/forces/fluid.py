@@ -30,6 +30,7 @@ import mujoco
 import numba
 import numpy as np
 
+from mjslq.dynamics.mujoco.inverse.forces.kinks import sign
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add6,
     compiled,
@@ -229,7 +230,7 @@ def _box(prm, local, by_l, by_hat, by_bend):
         local[2, r] = -(prm[r] + drag * abs(x)) * x
         by_l[r, r] = by_hat[r, r] = -prm[r] - 2.0 * drag * abs(x)
         local[3, r] = by_hat[r, r] * local[1, r]
-        by_bend[r, r] = -2.0 * math.copysign(drag, x) * local[1, r]
+        by_bend[r, r] = -2.0 * drag * sign(x) * local[1, r]
 
 
 @compiled

@@ -16,7 +16,7 @@ Forces (MuJoCo's documentation, "Polynomial forces", "Actuation model"):
     input      clip(u), or the activation, or with actearly the next activation
 
 Clipped quantities have zero derivative outside their range, and the inner one-sided derivative on its border, which
-is also what mjd_transitionFD gives.
+is also what mjd_transitionFD gives. Where other pieces meet, the derivative is the mean of the two sides (`kinks`).
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import math
 
 import mujoco
 
+from mjslq.dynamics.mujoco.inverse.forces.kinks import displacement, sign
 from mjslq.dynamics.mujoco.inverse.forces.muscles import muscle_bias, muscle_gain, muscle_rate
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add3,
@@ -129,7 +130,7 @@ def add_dampers(job, acc, F, T, E):
         T[i, i] -= slope
         F[i, nv + i] -= slope
         if job.implicit >= 1 and (d2 != 0.0 or d3 != 0.0):
-            E[i, nv + i] -= job.h * (2.0 * math.copysign(d2, d2 * v) + 6.0 * d3 * v) * acc[i]
+            E[i, nv + i] -= job.h * (2.0 * d2 * sign(v) + 6.0 * d3 * v) * acc[i]
 
 
 @compiled
@@ -152,19 +153,13 @@ def add_tendons(job, acc, F, T, E):
             length += ten_coef[k] * qpos[dof_qadr[i]]
             velocity += ten_coef[k] * qvel[i]
             rate += ten_coef[k] * acc[i]
-        x = 0.0
-        if length > prm[BAND + 1]:
-            x = length - prm[BAND + 1]
-        elif length < prm[BAND]:
-            x = length - prm[BAND]
-        stiffness = 0.0
-        if x != 0.0:
-            stiffness = prm[STIFFNESS] + x * (2.0 * prm[STIFFNESS + 1] + x * 3.0 * prm[STIFFNESS + 2])
+        x, outside = displacement(length, prm[BAND], prm[BAND + 1])
+        stiffness = outside * (prm[STIFFNESS] + x * (2.0 * prm[STIFFNESS + 1] + x * 3.0 * prm[STIFFNESS + 2]))
         d1, d2, d3 = prm[DAMPING], prm[DAMPING + 1], prm[DAMPING + 2]
         slope = d1 + 2.0 * d2 * abs(velocity) + 3.0 * d3 * velocity * velocity
         curvature = 0.0
         if job.implicit >= 2 and (d2 != 0.0 or d3 != 0.0):
-            curvature = job.h * (2.0 * math.copysign(d2, d2 * velocity) + 6.0 * d3 * velocity) * rate
+            curvature = job.h * (2.0 * d2 * sign(velocity) + 6.0 * d3 * velocity) * rate
         for k in range(first, last):
             i, ci = ten_dof[k], ten_coef[k]
             for n in range(first, last):

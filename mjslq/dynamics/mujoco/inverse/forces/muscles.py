@@ -10,10 +10,15 @@ Notation
                                   step leads from one to the other when the muscle has a smoothing width
 
 u, and a in s, are clamped to [0, 1]. (MuJoCo's documentation, "Muscles".)
+
+At u = a without a smoothing width da/dt has a kink, where its derivatives are the means of the two sides; at the ends
+of [0, 1] those towards the inside, as for all clamps: no control leads a resting muscle below zero. The second
+derivative of FV at V = 0 is the mean of its two sides.
 """
 
 from __future__ import annotations
 
+from mjslq.dynamics.mujoco.inverse.forces.kinks import sign
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
 from mjslq.dynamics.mujoco.inverse.table.columns import LENGTH_RANGE, MUSCLE_BIAS, MUSCLE_GAIN, MUSCLE_TIMES
 
@@ -55,7 +60,9 @@ def _hump(L, lmin, lmax):
 def _yield(V, fvmax):
     """FV and its first two derivatives."""
     y = fvmax - 1.0
-    if V <= 0.0:
+    if V == 0.0:
+        return 1.0, 2.0 if y > 0.0 else 1.0, 1.0 - (1.0 / y if y > 0.0 else 0.0)
+    if V < 0.0:
         left = max(V + 1.0, 0.0)
         return left * left, 2.0 * left, 2.0 if left > 0.0 else 0.0
     left = max(y - V, 0.0)
@@ -86,11 +93,15 @@ def muscle_rate(prm, u, a):
     inside = 1.5 if 0.0 <= a <= 1.0 else 0.0
     error = min(max(u, 0.0), 1.0) - a
     s = 0.5 + 1.5 * min(max(a, 0.0), 1.0)
-    share, steepness = 1.0 if error > 0.0 else 0.0, 0.0
+    share, steepness = 0.5 + 0.5 * sign(error), 0.0
     if width >= _TINY:
         x = min(max(error / width + 0.5, 0.0), 1.0)
         share, steepness = x * x * x * (x * (6.0 * x - 15.0) + 10.0), 30.0 * x * x * (1.0 - x) * (1.0 - x) / width
     rising, falling = times[0] * s, times[1] / s
+    if error == 0.0 and width < _TINY:
+        up, down = 1.0 / max(rising, _TINY), 1.0 / max(falling, _TINY)
+        share = 1.0 if u <= 0.0 else (0.0 if u >= 1.0 else 0.5)
+        return 0.0, share * up + (1.0 - share) * down, -share * down - (1.0 - share) * up
     tau = max(falling + (rising - falling) * share, _TINY)
     by_error = (1.0 - error / tau * (rising - falling) * steepness) / tau
     by_s = -error / (tau * tau) * (times[0] * share - falling / s * (1.0 - share))

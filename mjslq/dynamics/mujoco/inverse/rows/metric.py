@@ -14,7 +14,8 @@ integration"). Moment arms are constant here, so that only k and d change: with 
 with the inputs of actuators whose gain depends on length or velocity. Ball joints have max(0, k(|phi|)) on each of
 their axes, phi the rotation from rest. Joints clamp the sum of their own damping and their actuators', every other
 contribution is clamped by itself. Actuators at their force limits contribute nothing; under the solver PGS neither
-actuators nor tendons do, and the rest stands.
+actuators nor tendons do, and the rest stands. A tendon whose dead band has no width counts at its rest as it does next
+to it, although MuJoCo leaves it out at that one point.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import math
 
 from numba import types
 
+from mjslq.dynamics.mujoco.inverse.forces.kinks import displacement, sign
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
 from mjslq.dynamics.mujoco.inverse.table.columns import (
     ACTUATOR_NUMBERS,
@@ -58,7 +60,7 @@ def add_metric(job, acc, F, T, E):
 @inlined
 def _curve(first, second, third, x):
     """Slope of the force first x + second x |x| + third x^3, and the slope's own."""
-    return first + 2.0 * second * abs(x) + 3.0 * third * x * x, math.copysign(2.0, x) * second + 6.0 * third * x
+    return first + 2.0 * second * abs(x) + 3.0 * third * x * x, 2.0 * sign(x) * second + 6.0 * third * x
 
 
 @inlined
@@ -128,10 +130,9 @@ def _add_tendons(job, acc, F, T, E, slope):
         d, d_change = _curve(prm[DAMPING], prm[DAMPING + 1], prm[DAMPING + 2], velocity)
         if d <= 0.0:
             d, d_change = 0.0, 0.0
-        x = max(length - prm[BAND + 1], 0.0) + min(length - prm[BAND], 0.0)
+        x, outside = displacement(length, prm[BAND], prm[BAND + 1])
         k, k_change = _spring_curve(prm[STIFFNESS], prm[STIFFNESS + 1], prm[STIFFNESS + 2], x)
-        if k <= 0.0 or x == 0.0:
-            k, k_change = 0.0, 0.0
+        k, k_change = (outside * k, outside * k_change) if k > 0.0 else (0.0, 0.0)
         _add_term(job, dofs, arms, d, k, F, T)
         by_v, by_q = h * d_change, h * k_change
         if by_v == 0.0 and by_q == 0.0:
