@@ -11,7 +11,8 @@ Notation
                                         q_{n+1} = q_n + h f_q(q_n, v_{n+1}, u_n)      (as MuJoCo's Euler)
     rk4                    the classical Runge-Kutta step of fourth order
 
-Functions compiled with numba.njit run over the whole horizon without a Python call per step.
+Functions compiled with numba.njit run over the whole horizon without a Python call per step. Complex steps are held
+against real differences at every linearization (`mjslq.complex_step`).
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from numpy.typing import ArrayLike
 
-from mjslq.complex_step import refused_complex
 from mjslq.dynamics import function_kernels as kernels
 from mjslq.dynamics.dynamics import Curvature, Dynamics, Feedback, Linearization
+from mjslq.dynamics.function_derivatives import Derivatives
 from mjslq.dynamics.records import curvature_of
 from mjslq.manifold import StateSpace
 from mjslq.scene import Scene
@@ -58,9 +59,9 @@ class FunctionDynamics(Dynamics):
     integrator : str
         "map", "euler", "semi-implicit-euler" or "rk4".
     jacobian : str or callable
-        "complex-step" (exact; f must be analytic: no abs, no real parts but in comparisons),
-        "finite-difference" (centred), or jacobian(x, u, t) -> (A, B) of the *discrete step*, shapes (nx, nx)
-        and (nx, nu).
+        "complex-step" (exact; f must be analytic: no abs, no real parts but in comparisons; where real differences
+        disagree, they are taken from then on, with a warning), "finite-difference" (centred), or
+        jacobian(x, u, t) -> (A, B) of the *discrete step*, shapes (nx, nx) and (nx, nu).
     hessian : callable, optional
         hessian(x, u, t, costate) -> (H_xx (nx, nx), H_ux (nu, nx), H_uu (nu, nu)), the second derivatives of
         costate' x_{n+1}, the *discrete step*; by differences of first derivatives unless given.
@@ -122,10 +123,9 @@ class FunctionDynamics(Dynamics):
             raise ValueError(f"nv must be at most nx = {self.nx}, got {nv}")
         if callable(jacobian):
             self._given_jacobian: Callable[..., Any] | None = jacobian
-            self.jacobian = "given"
         else:
             self._given_jacobian = None
-            self.jacobian = choose("jacobian", jacobian, ("complex-step", "finite-difference"))
+            choose("jacobian", jacobian, ("complex-step", "finite-difference"))
         if hessian is not None and not callable(hessian):
             raise ValueError(f"hessian must be a function of (x, u, t, costate), got {hessian!r}")
         self._given_hessian = hessian
@@ -136,6 +136,14 @@ class FunctionDynamics(Dynamics):
         self._scene = scene
         self._probe()
         self._read, self._reads_compiled, self.ny = self._reading(outputs)
+        rest, step = (self.parameters, jacobian == "finite-difference"), float(np.ravel(self.dt)[0])
+        self._steps = Derivatives("f", self._f, f, self.compiled, self._code, self._nv, *rest)
+        self._readings = Derivatives(
+            "outputs", self._read, outputs or self._read, self._reads_compiled, kernels.MAP, 0, *rest
+        )
+        if self._given_jacobian is None:
+            self._steps.try_out(self.nx, self.nu, self.nx, step)
+        self._readings.try_out(self.nx, self.nu, self.ny, step)
         self.state_names = _names("state_names", state_names, "x", self.nx)
         self.control_names = _names("control_names", control_names, "u", self.nu)
         self.output_names = _names("output_names", output_names, "y", self.ny)
@@ -176,10 +184,7 @@ class FunctionDynamics(Dynamics):
             for n, t in enumerate(self._grid(N)[0]):
                 A[n], B[n] = self._checked_jacobian(*self._given_jacobian(X[n], U[n], t))
         else:
-            by_complex = self.jacobian == "complex-step"
-            differentiate = self._kernel(kernels.linearize_complex if by_complex else kernels.linearize_differences)
-            with np.errstate(all="ignore"), refused_complex("f", 'jacobian="finite-difference"'):
-                differentiate(*self._arguments(N), X, U, A, B)
+            self._steps.jacobians(*self._time_grid(N), X, U, A, B)
         return Linearization(A, B, *self._linearize_outputs(X, U))
 
     def step_each(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
@@ -189,6 +194,13 @@ class FunctionDynamics(Dynamics):
         with np.errstate(all="ignore"):
             self._kernel(kernels.step_each)(*self._arguments(len(controls)), states, controls, F)
         return F, np.array(self._trajectory(states, controls, -1).Y)
+
+    @property
+    def jacobian(self) -> str:
+        """How first derivatives are taken: "given", "complex-step" or "finite-difference"."""
+        if self._given_jacobian is not None:
+            return "given"
+        return "finite-difference" if self._steps.by_differences else "complex-step"
 
     @property
     def curvature_price(self) -> float:
@@ -207,15 +219,14 @@ class FunctionDynamics(Dynamics):
         N, size = trajectory.horizon, self.nx + self.nu
         if self._given_hessian is None and self._given_jacobian is not None:
             return super().hessian(trajectory, costates, weights, linearization, ends)
+        if linearization is None:
+            self.linearize(trajectory)  # which finds out whether complex steps serve
         X, U, H = trajectory.X, trajectory.U, np.zeros((N + 1, size, size))
         if self._given_hessian is not None:
             for n, t in enumerate(self._grid(N)[0]):
                 H[n] = self._checked_hessian(self._given_hessian(X[n], U[n], t, costates[n + 1]))
         else:
-            by_complex = self.jacobian == "complex-step"
-            differentiate = self._kernel(kernels.hessian_complex if by_complex else kernels.hessian_differences)
-            with np.errstate(all="ignore"), refused_complex("f", 'jacobian="finite-difference"'):
-                differentiate(*self._arguments(N), X, U, np.ascontiguousarray(costates[1:]), H)
+            self._steps.hessians(*self._time_grid(N), X, U, np.ascontiguousarray(costates[1:]), H)
         if weights is not None and self.ny:
             H += self._output_hessians(X, U, weights)
         return curvature_of(H, self.nx)
@@ -244,10 +255,12 @@ class FunctionDynamics(Dynamics):
             return np.arange(N) * np.float64(self.dt), np.full(N, self.dt)
         return self._starts[:N], self.dt[:N]
 
+    def _time_grid(self, N: int) -> tuple[Array, Array]:
+        self.steps(N)  # refuses a horizon of another length
+        return self._grid(N)
+
     def _arguments(self, N: int) -> tuple[Any, ...]:
-        self.steps(N)
-        times, steps = self._grid(N)
-        return (self._f, self._code, self._nv, times, steps, self.parameters)
+        return (self._f, self._code, self._nv, *self._time_grid(N), self.parameters)
 
     def _trajectory(self, X: Array, U: Array, bad: int) -> Trajectory:
         N = len(U)
@@ -272,29 +285,16 @@ class FunctionDynamics(Dynamics):
     def _linearize_outputs(self, X: Array, U: Array) -> tuple[Array, Array]:
         C, D = np.zeros((len(X), self.ny, self.nx)), np.zeros((len(X), self.ny, self.nu))
         if self.ny:
-            by_differences = self.jacobian == "finite-difference"
-            self._differentiate_outputs(
-                kernels.linearize_differences if by_differences else kernels.linearize_complex, X, U, C, D
-            )
+            times, held = self._knots(U)
+            self._readings.jacobians(times, np.ones(len(X)), X, held, C, D)
             D[-1] = 0.0
         return C, D
 
     def _output_hessians(self, X: Array, U: Array, weights: Array) -> Array:
         """Second derivatives of w_n'y_n at every knot. Shape (N + 1, nx + nu, nx + nu)."""
-        H = np.zeros((len(X), self.nx + self.nu, self.nx + self.nu))
-        by_differences = self.jacobian == "finite-difference"
-        self._differentiate_outputs(
-            kernels.hessian_differences if by_differences else kernels.hessian_complex,
-            X, U, np.ascontiguousarray(weights), H,
-        )  # fmt: skip
+        H, (times, held) = np.zeros((len(X), self.nx + self.nu, self.nx + self.nu)), self._knots(U)
+        self._readings.hessians(times, np.ones(len(X)), X, held, np.ascontiguousarray(weights), H)
         return H
-
-    def _differentiate_outputs(self, kernel: Callable[..., Any], X: Array, U: Array, *arrays: Array) -> None:
-        """Run a kernel that differentiates maps on the outputs at all knots."""
-        times, held = self._knots(U)
-        arguments = (self._read, kernels.MAP, 0, times, np.ones(len(X)), self.parameters, X, held)
-        with np.errstate(all="ignore"), refused_complex("outputs", 'jacobian="finite-difference"'):
-            self._reader(kernel)(*arguments, *arrays)
 
     def _checked_hessian(self, parts: Any) -> Array:
         """H by (x, u) from its three blocks."""
