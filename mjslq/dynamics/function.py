@@ -132,21 +132,37 @@ class FunctionDynamics(Dynamics):
         if not callable(f):
             raise ValueError(f"f must be a function of (x, u), (x, u, t) or (x, u, t, p), got {f!r}")
         self.compiled = isinstance(f, Dispatcher)
-        self._f = _with_all_arguments(f, self.compiled)
+        self._f, self._given = _with_all_arguments(f, self.compiled), (f, outputs)
         self._scene = scene
         self._probe()
         self._read, self._reads_compiled, self.ny = self._reading(outputs)
-        rest, step = (self.parameters, jacobian == "finite-difference"), float(np.ravel(self.dt)[0])
-        self._steps = Derivatives("f", self._f, f, self.compiled, self._code, self._nv, *rest)
-        self._readings = Derivatives(
-            "outputs", self._read, outputs or self._read, self._reads_compiled, kernels.MAP, 0, *rest
-        )
+        by_differences, step = jacobian == "finite-difference", float(np.ravel(self.dt)[0])
+        self._steps, self._readings = self._derivatives(by_differences, by_differences)
         if self._given_jacobian is None:
             self._steps.try_out(self.nx, self.nu, self.nx, step)
         self._readings.try_out(self.nx, self.nu, self.ny, step)
         self.state_names = _names("state_names", state_names, "x", self.nx)
         self.control_names = _names("control_names", control_names, "u", self.nu)
         self.output_names = _names("output_names", output_names, "y", self.ny)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """See `Dynamics`; the functions travel as they were given, which is why pickle has to be able to import them.
+
+        Those that were compiled travel whole.
+        """
+        state = super().__getstate__()
+        for name in ("_f", "_read", "_steps", "_readings"):
+            del state[name]
+        return state | {"_by_differences": (self._steps.by_differences, self._readings.by_differences)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """See `Dynamics`."""
+        by_differences = state["_by_differences"]
+        super().__setstate__({name: value for name, value in state.items() if name != "_by_differences"})
+        f, outputs = self._given
+        self._f = _with_all_arguments(f, self.compiled)
+        self._read, self._reads_compiled, self.ny = self._reading(outputs)
+        self._steps, self._readings = self._derivatives(*by_differences)
 
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
         """One step in plain Python; see `Dynamics.step`."""
@@ -241,6 +257,16 @@ class FunctionDynamics(Dynamics):
         step = "one step a call" if self.integrator == "map" else "control held over a step"
         parts = [(f"function of {self.nx} states and {self.nu} controls", speed)]
         return [*parts, (f"integrator {self.integrator}", step), ("Jacobians", self.jacobian)]
+
+    def _derivatives(self, of_steps: bool, of_readings: bool) -> tuple[Derivatives, Derivatives]:
+        """Derivatives of steps and of outputs, by differences or not."""
+        (f, outputs), p = self._given, self.parameters
+        return (
+            Derivatives("f", self._f, f, self.compiled, self._code, self._nv, p, of_steps),
+            Derivatives(
+                "outputs", self._read, outputs or self._read, self._reads_compiled, kernels.MAP, 0, p, of_readings
+            ),
+        )
 
     @property
     def _code(self) -> int:
