@@ -17,7 +17,6 @@ against real differences at every linearization (`mjslq.complex_step`).
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
@@ -28,6 +27,7 @@ from numpy.typing import ArrayLike
 
 from mjslq.dynamics import function_kernels as kernels
 from mjslq.dynamics.dynamics import Curvature, Dynamics, Feedback, Linearization
+from mjslq.dynamics.function_arguments import limits_of, names_of, plain, with_all_arguments
 from mjslq.dynamics.function_derivatives import Derivatives
 from mjslq.dynamics.records import curvature_of
 from mjslq.manifold import StateSpace
@@ -113,7 +113,7 @@ class FunctionDynamics(Dynamics):
             raise ValueError(f"dt must be a positive number, or one per step, got shape {steps.shape}: {dt!r}")
         self.dt = np.array(steps) if steps.ndim else float(steps)
         self.integrator = choose("integrator", integrator, _INTEGRATORS)
-        self.control_limits = _limits(control_limits, self.nu)
+        self.control_limits = limits_of(control_limits, self.nu)
         if not isinstance(self.dt, float):
             self._starts = np.cumsum(self.dt) - self.dt
         self.parameters = np.array(as_array("parameters", parameters, ("size",)))
@@ -132,7 +132,7 @@ class FunctionDynamics(Dynamics):
         if not callable(f):
             raise ValueError(f"f must be a function of (x, u), (x, u, t) or (x, u, t, p), got {f!r}")
         self.compiled = isinstance(f, Dispatcher)
-        self._f, self._given = _with_all_arguments(f, self.compiled), (f, outputs)
+        self._f, self._given = with_all_arguments(f, self.compiled), (f, outputs)
         self._scene = scene
         self._probe()
         self._read, self._reads_compiled, self.ny = self._reading(outputs)
@@ -141,9 +141,9 @@ class FunctionDynamics(Dynamics):
         if self._given_jacobian is None:
             self._steps.try_out(self.nx, self.nu, self.nx, step)
         self._readings.try_out(self.nx, self.nu, self.ny, step)
-        self.state_names = _names("state_names", state_names, "x", self.nx)
-        self.control_names = _names("control_names", control_names, "u", self.nu)
-        self.output_names = _names("output_names", output_names, "y", self.ny)
+        self.state_names = names_of("state_names", state_names, "x", self.nx)
+        self.control_names = names_of("control_names", control_names, "u", self.nu)
+        self.output_names = names_of("output_names", output_names, "y", self.ny)
 
     def __getstate__(self) -> dict[str, Any]:
         """See `Dynamics`; the functions travel as they were given, which is why pickle has to be able to import them.
@@ -160,7 +160,7 @@ class FunctionDynamics(Dynamics):
         by_differences = state["_by_differences"]
         super().__setstate__({name: value for name, value in state.items() if name != "_by_differences"})
         f, outputs = self._given
-        self._f = _with_all_arguments(f, self.compiled)
+        self._f = with_all_arguments(f, self.compiled)
         self._read, self._reads_compiled, self.ny = self._reading(outputs)
         self._steps, self._readings = self._derivatives(*by_differences)
 
@@ -170,8 +170,8 @@ class FunctionDynamics(Dynamics):
             t, h = n * self.dt, self.dt
         else:
             t, h = float(self._starts[n]), float(self.dt[n])
-        forward = kernels.next_state(_plain(self._f), self._code, self._nv, x, u, t, h, self.parameters)
-        y = _plain(self._read)(x, u, t, self.parameters) if self.ny else np.zeros(0)
+        forward = kernels.next_state(plain(self._f), self._code, self._nv, x, u, t, h, self.parameters)
+        y = plain(self._read)(x, u, t, self.parameters) if self.ny else np.zeros(0)
         return as_array("next state", forward, finite=False), y
 
     def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None = None) -> list[Trajectory]:
@@ -272,8 +272,8 @@ class FunctionDynamics(Dynamics):
     def _code(self) -> int:
         return _INTEGRATORS[self.integrator]
 
-    def _kernel(self, plain: Callable[..., Any]) -> Callable[..., Any]:
-        return kernels.compiled(plain) if self.compiled else plain
+    def _kernel(self, python: Callable[..., Any]) -> Callable[..., Any]:
+        return kernels.compiled(python) if self.compiled else python
 
     def _grid(self, N: int) -> tuple[Array, Array]:
         """Times at which the steps begin, and their lengths. Shapes (N,), (N,)."""
@@ -305,8 +305,8 @@ class FunctionDynamics(Dynamics):
         held[:N] = U
         return np.append(self._grid(N)[0], self.steps(N).sum()), held
 
-    def _reader(self, plain: Callable[..., Any]) -> Callable[..., Any]:
-        return kernels.compiled(plain) if self._reads_compiled else plain
+    def _reader(self, python: Callable[..., Any]) -> Callable[..., Any]:
+        return kernels.compiled(python) if self._reads_compiled else python
 
     def _linearize_outputs(self, X: Array, U: Array) -> tuple[Array, Array]:
         C, D = np.zeros((len(X), self.ny, self.nx)), np.zeros((len(X), self.ny, self.nu))
@@ -347,10 +347,10 @@ class FunctionDynamics(Dynamics):
         if outputs is None:
             return lambda x, u, t, p: np.zeros(0), False, 0
         compiled = isinstance(outputs, Dispatcher)
-        read = _with_all_arguments(outputs, compiled, "outputs")
+        read = with_all_arguments(outputs, compiled, "outputs")
         try:
             with np.errstate(all="ignore"):
-                value = _plain(read)(np.zeros(self.nx), np.zeros(self.nu), 0.0, self.parameters)
+                value = plain(read)(np.zeros(self.nx), np.zeros(self.nu), 0.0, self.parameters)
             y = np.atleast_1d(np.asarray(value, dtype=np.float64))
         except (IndexError, ValueError, TypeError) as error:
             raise ValueError(
@@ -362,72 +362,14 @@ class FunctionDynamics(Dynamics):
             number = read
             return numba.njit(lambda x, u, t, p: np.array([number(x, u, t, p)])), True, 1
         compiled = compiled and isinstance(value, np.ndarray)
-        return read if compiled else lambda x, u, t, p: np.atleast_1d(_plain(read)(x, u, t, p)), compiled, y.size
+        return read if compiled else lambda x, u, t, p: np.atleast_1d(plain(read)(x, u, t, p)), compiled, y.size
 
     def _probe(self) -> None:
         """Call f once, so that a wrong shape is reported here and not from inside a rollout."""
         try:
             with np.errstate(all="ignore"):
-                value = np.asarray(_plain(self._f)(np.zeros(self.nx), np.zeros(self.nu), 0.0, self.parameters))
+                value = np.asarray(plain(self._f)(np.zeros(self.nx), np.zeros(self.nu), 0.0, self.parameters))
         except (IndexError, ValueError, TypeError) as error:
             raise ValueError(f"f fails for x of shape ({self.nx},) and u of shape ({self.nu},): {error}") from None
         if value.shape != (self.nx,):
             raise ValueError(f"f must return shape ({self.nx},), got {value.shape}")
-
-
-def _plain(f: Callable[..., Any]) -> Callable[..., Any]:
-    """The Python function that a compiled one was made of."""
-    python: Callable[..., Any] = f.py_func if isinstance(f, Dispatcher) else f
-    return python
-
-
-def _with_all_arguments(f: Callable[..., Any], compiled: bool, name: str = "f") -> Callable[..., Any]:
-    """Return f as a function of (x, u, t, p); plain functions return arrays whatever they are given as."""
-    given = _positional(_plain(f))
-    if given not in (2, 3, 4):
-        raise ValueError(f"{name} must take (x, u), (x, u, t) or (x, u, t, p), but takes {given} arguments")
-    if compiled:
-        if given == 4:
-            return f
-        if given == 3:
-            return numba.njit(lambda x, u, t, p: f(x, u, t))
-        return numba.njit(lambda x, u, t, p: f(x, u))
-    return lambda x, u, t, p: np.asarray(f(*(x, u, t, p)[:given]))
-
-
-def _limits(given: Any, nu: int) -> Array:
-    """Return limits given as (lower, upper) or as an array (nu, 2) as the latter, or raise ValueError."""
-    if given is None:
-        return np.tile([-np.inf, np.inf], (nu, 1))
-    if isinstance(given, tuple):
-        if len(given) != 2:
-            raise ValueError(f"control_limits must be (lower, upper) or an array ({nu}, 2), got {len(given)} entries")
-        sides = [as_array(f"control_limits[{i}]", side, finite=False) for i, side in enumerate(given)]
-        for i, side in enumerate(sides):
-            if side.shape not in ((), (nu,)):
-                raise ValueError(f"control_limits[{i}] must be a number or an array ({nu},), got shape {side.shape}")
-        limits = np.stack([np.broadcast_to(side, (nu,)) for side in sides], axis=-1)
-    else:
-        limits = np.array(as_array("control_limits", given, finite=False))
-        if limits.shape != (nu, 2):
-            raise ValueError(f"control_limits must be (lower, upper) or an array ({nu}, 2), got shape {limits.shape}")
-    wrong = ~(limits[:, 0] <= limits[:, 1])  # NaN too
-    if wrong.any():
-        i = int(np.argmax(wrong))
-        raise ValueError(
-            f"control_limits must have lower <= upper, but control {i} has {limits[i, 0]} and {limits[i, 1]}"
-        )
-    return limits
-
-
-def _positional(f: Callable[..., Any]) -> int:
-    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    return sum(p.kind in kinds and p.default is p.empty for p in inspect.signature(f).parameters.values())
-
-
-def _names(name: str, given: Sequence[str] | None, letter: str, size: int) -> tuple[str, ...]:
-    if given is None:
-        return tuple(f"{letter}[{i}]" for i in range(size))
-    if len(given) != size:
-        raise ValueError(f"{name} must have {size} entries, got {len(given)}")
-    return tuple(given)
