@@ -9,13 +9,14 @@ of the first, after the last step that of the last, about the final state.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mjslq.manifold import StateSpace
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, as_array, count, frozen
+from mjslq.validation import Array, as_array, count, frozen, refrozen
 
 NEAR = 1e-9
 """Share of a step within which a time counts as the knot's."""
@@ -70,6 +71,9 @@ class Policy:
         for name, array in filled.items():
             object.__setattr__(self, name, frozen(array))
         object.__setattr__(self, "space", space)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(refrozen(state))
 
     @property
     def horizon(self) -> int:

@@ -25,7 +25,7 @@ from mjslq.lq.box import Box
 from mjslq.options import check as check_options
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, as_array, count, finite, frozen
+from mjslq.validation import Array, as_array, count, finite, frozen, refrozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +93,9 @@ class Problem:
                 raise ValueError(f"costs[{i}] ({type(term).__name__}): {error}") from None
         store(self, "costs", tuple(terms))
         store(self, "_terms", tuple(bound))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(refrozen(state))
 
     def at(self, x0: ArrayLike, t0: float = 0.0) -> Problem:
         """The same problem from another initial state (nx,), its costs' time shifted by `t0` [s].

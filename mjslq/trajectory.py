@@ -12,11 +12,12 @@ Notation
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjslq.validation import Array, as_array, frozen
+from mjslq.validation import Array, as_array, frozen, refrozen
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,9 @@ class Trajectory:
     substates: Array | None = None
     """States between the knots, at the simulator's own steps: entry n has those of step n. Shape (N, k - 1, nx).
     None when steps are single ones, or the states between are not known; then an engine simulates them anew."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(refrozen(state))
 
     def __post_init__(self) -> None:
         good = None if self.diverged_at is None else int(self.diverged_at)

@@ -8,11 +8,15 @@ Notation
     df/dz              as given, or by complex steps
     d2(w'f)/dz2        as given, or by central differences of df/dz
 
+Complex steps are held against real differences at every call (`mjslq.complex_step`): a function that is not analytic
+is differentiated by differences from there on, with a warning.
+
 Plain Python is called knot by knot. Functions compiled by numba.njit run in a compiled loop over the knots.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from typing import Any
@@ -23,7 +27,18 @@ from numba.core.errors import NumbaError
 from numpy.typing import ArrayLike, NDArray
 
 from mjslq import user_kernels as kernels
-from mjslq.complex_step import DIFFERENCE, complex_step, refused_complex, unscaled
+from mjslq.complex_step import (
+    DIFFERENCE,
+    SMALL,
+    Values,
+    central_differences,
+    complex_step,
+    complex_step_along,
+    refused_complex,
+    second_differences,
+    unscaled,
+    wrong_slopes,
+)
 from mjslq.validation import Array, as_array
 
 Derivative = Callable[..., Any] | None
@@ -63,6 +78,10 @@ class UserFunction:
             self._returns = kernels.returns_of(f, len(self._p))
         except NumbaError as error:
             raise ValueError(f"{self.name} cannot be compiled by numba: {_gist(error)}") from None
+        self.by_differences = False
+        """Whether derivatives are real differences, since complex steps were found to be wrong."""
+        if jacobian is None and not self.compiled:
+            self._try_out()
 
     @property
     def compiled(self) -> bool:
@@ -81,24 +100,38 @@ class UserFunction:
 
     def jacobians(self, Z: Array, times: Array) -> Array:
         """Derivatives df/dz at every knot. Shape (k, m, nx + nu)."""
-        J = np.empty((len(Z), self.size, Z.shape[1]))
         if self._jacobian is not None:
+            J = np.empty((len(Z), self.size, Z.shape[1]))
             for n, t in enumerate(times.tolist()):
                 J[n] = self._given_derivative(Z[n], t)
             return J
-        along = np.empty((len(Z), self.size))
+        values = self._values_of(times)
+        if self.by_differences:
+            return central_differences(values, Z)
+        J, along = self._complex_steps(Z, times)
+        wrong = wrong_slopes(values, Z, J) | unscaled(J, along)
+        return self._instead(wrong, Z, times) if wrong.any() else J
+
+    def _complex_steps(self, Z: Array, times: Array) -> tuple[Array, Array]:
+        """df/dz by complex steps, unchecked, and along all entries at once. Shapes (k, m, nx + nu), (k, m)."""
+        J, along = np.empty((len(Z), self.size, Z.shape[1])), np.empty((len(Z), self.size))
         if self._in_loop:
             self._kernel(kernels.jacobians)(self._f, Z, self._nx, times, self._p, J, along)
         else:
             with refused_complex(self.name, self._remedy):
                 for n, t in enumerate(times.tolist()):
-                    J[n], along[n] = complex_step(partial(self._value, t=t), Z[n])
-        self._check(unscaled(J, along), times)
-        return J
+                    value = partial(self._value, t=t)
+                    J[n], along[n] = complex_step(value, Z[n]), complex_step_along(value, Z[n])
+        return J, along
 
     def hessians(self, Z: Array, times: Array, weights: Array) -> Array:
-        """d2(w_n'f)/dz2 at every knot, symmetric; weights w_n of shape (k, m). Shape (k, nx + nu, nx + nu)."""
+        """d2(w_n'f)/dz2 at every knot, symmetric; weights w_n of shape (k, m). Shape (k, nx + nu, nx + nu).
+
+        Complex steps are not checked here, but where `jacobians` takes them.
+        """
         H = np.empty((len(Z), Z.shape[1], Z.shape[1]))
+        if self.by_differences:
+            return second_differences(self._values_of(times), Z, weights)
         if self._in_loop:
             self._kernel(kernels.hessians)(self._f, Z, self._nx, times, self._p, weights, H)
             return H
@@ -119,15 +152,41 @@ class UserFunction:
             )
         return True
 
-    def _check(self, wrong: NDArray[np.bool_], times: Array) -> None:
-        if wrong.any():
-            n, i = np.argwhere(wrong)[0]
-            entry = self.name if self.size == 1 else f"entry {i} of {self.name}"
+    def _instead(self, wrong: NDArray[np.bool_], Z: Array, times: Array, where: str = "") -> Array:
+        """df/dz by differences, now and from now on, where complex steps are wrong: one warning.
+
+        Raises ValueError where differences are not finite.
+        """
+        n, i = np.argwhere(wrong)[0]
+        entry = self.name if self.size == 1 else f"entry {i} of {self.name}"
+        with np.errstate(all="ignore"):
+            instead = central_differences(self._values_of(times), Z)
+        if not np.isfinite(instead[n]).all():
             raise ValueError(
                 f"{entry} cannot be differentiated by complex steps at t = {times[n]:g}: it has an imaginary part of "
-                f"its own there, as logarithms and roots of negative numbers have, and powers such as x**3 in "
-                f"functions compiled by numba (write x*x*x); otherwise use {self._remedy}"
+                f"its own there, as logarithms and roots of negative numbers have, and real differences are not "
+                f"finite; use {self._remedy}"
             )
+        self.by_differences = True
+        sentence = not_analytic(entry, self._f, where or f"at t = {times[n]:g}", self._remedy)
+        warnings.warn(sentence, stacklevel=2)
+        return instead
+
+    def _try_out(self) -> None:
+        """Hold complex steps against differences at generic points near the origin, where f is defined there."""
+        Z, times = np.random.default_rng(0).uniform(-1.0, 1.0, (2, self._nx + self._nu)), np.full(2, _GENERIC)
+        try:
+            with np.errstate(all="ignore"):
+                J, _ = self._complex_steps(Z, times)
+                wrong = wrong_slopes(self._values_of(times), Z, J)
+        except Exception:  # whatever f raises off its domain; refused, if so, when it is differentiated
+            return
+        if wrong.any():
+            self._instead(wrong, Z, times, "near the origin")
+
+    def _values_of(self, times: Array) -> Values:
+        """The function at some of the knots, as `mjslq.complex_step` takes it."""
+        return lambda at, Z: self.values(np.ascontiguousarray(Z), times[at])
 
     def _kernel(self, plain: Callable[..., Any]) -> Callable[..., Any]:
         assert self._returns is not None
@@ -145,7 +204,7 @@ class UserFunction:
     def _derivative(self, z: Array, t: float) -> Array:
         """df/dz. Shape (m, nx + nu)."""
         if self._jacobian is None:
-            return complex_step(partial(self._value, t=t), z)[0]
+            return complex_step(partial(self._value, t=t), z, SMALL)
         return self._given_derivative(z, t)
 
     def _given_derivative(self, z: Array, t: float) -> Array:
@@ -218,6 +277,17 @@ class UserCost(UserFunction):
         if value.size != 1:
             raise ValueError(f"{self.name} must return a number, got shape {value.shape}")
         return value.reshape(1)
+
+
+def not_analytic(name: str, f: Callable[..., Any], where: str, remedy: str) -> str:
+    """The sentence that warns of a function whose derivatives are taken by differences."""
+    called = getattr(f, "__name__", type(f).__name__)
+    return (
+        f"{name} ({called!r}) is not analytic in x and u: complex steps and real differences disagree {where}. abs, "
+        f"norm, vdot, .real, .conj, sign and angle lose the derivative, and x**3 compiled by numba goes through "
+        f"logarithms. Finite differences are taken from now on; use {remedy}, or write it with sqrt, dot products and "
+        f"x*x*x"
+    )
 
 
 def _gist(error: NumbaError) -> str:

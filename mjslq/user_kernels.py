@@ -22,7 +22,7 @@ from numba import njit, types
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
-from mjslq.complex_step import DIFFERENCE, OTHER, TINY
+from mjslq.complex_step import DIFFERENCE, OTHER, SMALL, TINY
 
 Returns = Literal["row", "number"]
 
@@ -61,8 +61,8 @@ def hessians(f, Z, nx, times, p, weights, H):
                 for j in range(size):
                     z[:] = Z[n]
                     z[i] += sign * d
-                    z[j] += 1j * TINY
-                    slope[:] = f(z[:nx], z[nx:], times[n], *p).imag / TINY
+                    z[j] += 1j * SMALL
+                    slope[:] = f(z[:nx], z[nx:], times[n], *p).imag / SMALL
                     for k in range(m):
                         H[n, j, i] += sign * weights[n, k] * slope[k] / (2.0 * d)
         for i in range(size):

@@ -138,6 +138,11 @@ def frozen(array: Array) -> Array:
     return view
 
 
+def refrozen(state: dict[str, Any]) -> dict[str, Any]:
+    """Fields of a frozen dataclass that pickle or deepcopy made anew, arrays read-only again."""
+    return {name: frozen(value) if isinstance(value, np.ndarray) else value for name, value in state.items()}
+
+
 def _fits(given: tuple[int, ...], expected: Sequence[int | str]) -> bool:
     return len(given) == len(expected) and all(
         have == want or isinstance(want, str) for have, want in zip(given, expected, strict=True)

@@ -16,8 +16,10 @@ The grain of the interface is the whole horizon: one call rolls out or linearize
 
 from __future__ import annotations
 
+import threading
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -64,6 +66,20 @@ class Dynamics(ABC):
     -inf and inf where there is none."""
     control_names: tuple[str, ...]
     output_names: tuple[str, ...]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What pickle and deepcopy carry: all but locks and what is made when first asked for, memory and threads."""
+        anew = {name for kind in type(self).__mro__ for name, entry in vars(kind).items() if _is_cached(entry)}
+        return {name: value for name, value in vars(self).items() if name not in anew and not _is_lock(value)} | {
+            "_locks": tuple(name for name, value in vars(self).items() if _is_lock(value))
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take what `__getstate__` gave, and make locks anew."""
+        state = dict(state)
+        locks = state.pop("_locks", ())
+        vars(self).update(state)
+        vars(self).update({name: threading.Lock() for name in locks})
 
     @property
     def outputs(self) -> dict[str, Output]:
@@ -271,3 +287,11 @@ class Dynamics(ABC):
                 f"the trajectory has {trajectory.X.shape[1]} states and {trajectory.U.shape[1]} controls, "
                 f"but these dynamics have {self.nx} and {self.nu}"
             )
+
+
+def _is_cached(entry: object) -> bool:
+    return isinstance(entry, cached_property)
+
+
+def _is_lock(value: object) -> bool:
+    return isinstance(value, type(threading.Lock()))

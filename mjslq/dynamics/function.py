@@ -11,12 +11,12 @@ Notation
                                         q_{n+1} = q_n + h f_q(q_n, v_{n+1}, u_n)      (as MuJoCo's Euler)
     rk4                    the classical Runge-Kutta step of fourth order
 
-Functions compiled with numba.njit run over the whole horizon without a Python call per step.
+Functions compiled with numba.njit run over the whole horizon without a Python call per step. Complex steps are held
+against real differences at every linearization (`mjslq.complex_step`).
 """
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
@@ -25,9 +25,10 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from numpy.typing import ArrayLike
 
-from mjslq.complex_step import refused_complex
 from mjslq.dynamics import function_kernels as kernels
 from mjslq.dynamics.dynamics import Curvature, Dynamics, Feedback, Linearization
+from mjslq.dynamics.function_arguments import limits_of, names_of, plain, with_all_arguments
+from mjslq.dynamics.function_derivatives import Derivatives
 from mjslq.dynamics.records import curvature_of
 from mjslq.manifold import StateSpace
 from mjslq.scene import Scene
@@ -58,9 +59,9 @@ class FunctionDynamics(Dynamics):
     integrator : str
         "map", "euler", "semi-implicit-euler" or "rk4".
     jacobian : str or callable
-        "complex-step" (exact; f must be analytic: no abs, no real parts but in comparisons),
-        "finite-difference" (centred), or jacobian(x, u, t) -> (A, B) of the *discrete step*, shapes (nx, nx)
-        and (nx, nu).
+        "complex-step" (exact; f must be analytic: no abs, no real parts but in comparisons; where real differences
+        disagree, they are taken from then on, with a warning), "finite-difference" (centred), or
+        jacobian(x, u, t) -> (A, B) of the *discrete step*, shapes (nx, nx) and (nx, nu).
     hessian : callable, optional
         hessian(x, u, t, costate) -> (H_xx (nx, nx), H_ux (nu, nx), H_uu (nu, nu)), the second derivatives of
         costate' x_{n+1}, the *discrete step*; by differences of first derivatives unless given.
@@ -112,7 +113,7 @@ class FunctionDynamics(Dynamics):
             raise ValueError(f"dt must be a positive number, or one per step, got shape {steps.shape}: {dt!r}")
         self.dt = np.array(steps) if steps.ndim else float(steps)
         self.integrator = choose("integrator", integrator, _INTEGRATORS)
-        self.control_limits = _limits(control_limits, self.nu)
+        self.control_limits = limits_of(control_limits, self.nu)
         if not isinstance(self.dt, float):
             self._starts = np.cumsum(self.dt) - self.dt
         self.parameters = np.array(as_array("parameters", parameters, ("size",)))
@@ -122,23 +123,46 @@ class FunctionDynamics(Dynamics):
             raise ValueError(f"nv must be at most nx = {self.nx}, got {nv}")
         if callable(jacobian):
             self._given_jacobian: Callable[..., Any] | None = jacobian
-            self.jacobian = "given"
         else:
             self._given_jacobian = None
-            self.jacobian = choose("jacobian", jacobian, ("complex-step", "finite-difference"))
+            choose("jacobian", jacobian, ("complex-step", "finite-difference"))
         if hessian is not None and not callable(hessian):
             raise ValueError(f"hessian must be a function of (x, u, t, costate), got {hessian!r}")
         self._given_hessian = hessian
         if not callable(f):
             raise ValueError(f"f must be a function of (x, u), (x, u, t) or (x, u, t, p), got {f!r}")
         self.compiled = isinstance(f, Dispatcher)
-        self._f = _with_all_arguments(f, self.compiled)
+        self._f, self._given = with_all_arguments(f, self.compiled), (f, outputs)
         self._scene = scene
         self._probe()
         self._read, self._reads_compiled, self.ny = self._reading(outputs)
-        self.state_names = _names("state_names", state_names, "x", self.nx)
-        self.control_names = _names("control_names", control_names, "u", self.nu)
-        self.output_names = _names("output_names", output_names, "y", self.ny)
+        by_differences, step = jacobian == "finite-difference", float(np.ravel(self.dt)[0])
+        self._steps, self._readings = self._derivatives(by_differences, by_differences)
+        if self._given_jacobian is None:
+            self._steps.try_out(self.nx, self.nu, self.nx, step)
+        self._readings.try_out(self.nx, self.nu, self.ny, step)
+        self.state_names = names_of("state_names", state_names, "x", self.nx)
+        self.control_names = names_of("control_names", control_names, "u", self.nu)
+        self.output_names = names_of("output_names", output_names, "y", self.ny)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """See `Dynamics`; the functions travel as they were given, which is why pickle has to be able to import them.
+
+        Those that were compiled travel whole.
+        """
+        state = super().__getstate__()
+        for name in ("_f", "_read", "_steps", "_readings"):
+            del state[name]
+        return state | {"_by_differences": (self._steps.by_differences, self._readings.by_differences)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """See `Dynamics`."""
+        by_differences = state["_by_differences"]
+        super().__setstate__({name: value for name, value in state.items() if name != "_by_differences"})
+        f, outputs = self._given
+        self._f = with_all_arguments(f, self.compiled)
+        self._read, self._reads_compiled, self.ny = self._reading(outputs)
+        self._steps, self._readings = self._derivatives(*by_differences)
 
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
         """One step in plain Python; see `Dynamics.step`."""
@@ -146,8 +170,8 @@ class FunctionDynamics(Dynamics):
             t, h = n * self.dt, self.dt
         else:
             t, h = float(self._starts[n]), float(self.dt[n])
-        forward = kernels.next_state(_plain(self._f), self._code, self._nv, x, u, t, h, self.parameters)
-        y = _plain(self._read)(x, u, t, self.parameters) if self.ny else np.zeros(0)
+        forward = kernels.next_state(plain(self._f), self._code, self._nv, x, u, t, h, self.parameters)
+        y = plain(self._read)(x, u, t, self.parameters) if self.ny else np.zeros(0)
         return as_array("next state", forward, finite=False), y
 
     def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None = None) -> list[Trajectory]:
@@ -176,10 +200,7 @@ class FunctionDynamics(Dynamics):
             for n, t in enumerate(self._grid(N)[0]):
                 A[n], B[n] = self._checked_jacobian(*self._given_jacobian(X[n], U[n], t))
         else:
-            by_complex = self.jacobian == "complex-step"
-            differentiate = self._kernel(kernels.linearize_complex if by_complex else kernels.linearize_differences)
-            with np.errstate(all="ignore"), refused_complex("f", 'jacobian="finite-difference"'):
-                differentiate(*self._arguments(N), X, U, A, B)
+            self._steps.jacobians(*self._time_grid(N), X, U, A, B)
         return Linearization(A, B, *self._linearize_outputs(X, U))
 
     def step_each(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
@@ -189,6 +210,13 @@ class FunctionDynamics(Dynamics):
         with np.errstate(all="ignore"):
             self._kernel(kernels.step_each)(*self._arguments(len(controls)), states, controls, F)
         return F, np.array(self._trajectory(states, controls, -1).Y)
+
+    @property
+    def jacobian(self) -> str:
+        """How first derivatives are taken: "given", "complex-step" or "finite-difference"."""
+        if self._given_jacobian is not None:
+            return "given"
+        return "finite-difference" if self._steps.by_differences else "complex-step"
 
     @property
     def curvature_price(self) -> float:
@@ -207,15 +235,14 @@ class FunctionDynamics(Dynamics):
         N, size = trajectory.horizon, self.nx + self.nu
         if self._given_hessian is None and self._given_jacobian is not None:
             return super().hessian(trajectory, costates, weights, linearization, ends)
+        if linearization is None:
+            self.linearize(trajectory)  # which finds out whether complex steps serve
         X, U, H = trajectory.X, trajectory.U, np.zeros((N + 1, size, size))
         if self._given_hessian is not None:
             for n, t in enumerate(self._grid(N)[0]):
                 H[n] = self._checked_hessian(self._given_hessian(X[n], U[n], t, costates[n + 1]))
         else:
-            by_complex = self.jacobian == "complex-step"
-            differentiate = self._kernel(kernels.hessian_complex if by_complex else kernels.hessian_differences)
-            with np.errstate(all="ignore"), refused_complex("f", 'jacobian="finite-difference"'):
-                differentiate(*self._arguments(N), X, U, np.ascontiguousarray(costates[1:]), H)
+            self._steps.hessians(*self._time_grid(N), X, U, np.ascontiguousarray(costates[1:]), H)
         if weights is not None and self.ny:
             H += self._output_hessians(X, U, weights)
         return curvature_of(H, self.nx)
@@ -231,12 +258,22 @@ class FunctionDynamics(Dynamics):
         parts = [(f"function of {self.nx} states and {self.nu} controls", speed)]
         return [*parts, (f"integrator {self.integrator}", step), ("Jacobians", self.jacobian)]
 
+    def _derivatives(self, of_steps: bool, of_readings: bool) -> tuple[Derivatives, Derivatives]:
+        """Derivatives of steps and of outputs, by differences or not."""
+        (f, outputs), p = self._given, self.parameters
+        return (
+            Derivatives("f", self._f, f, self.compiled, self._code, self._nv, p, of_steps),
+            Derivatives(
+                "outputs", self._read, outputs or self._read, self._reads_compiled, kernels.MAP, 0, p, of_readings
+            ),
+        )
+
     @property
     def _code(self) -> int:
         return _INTEGRATORS[self.integrator]
 
-    def _kernel(self, plain: Callable[..., Any]) -> Callable[..., Any]:
-        return kernels.compiled(plain) if self.compiled else plain
+    def _kernel(self, python: Callable[..., Any]) -> Callable[..., Any]:
+        return kernels.compiled(python) if self.compiled else python
 
     def _grid(self, N: int) -> tuple[Array, Array]:
         """Times at which the steps begin, and their lengths. Shapes (N,), (N,)."""
@@ -244,10 +281,12 @@ class FunctionDynamics(Dynamics):
             return np.arange(N) * np.float64(self.dt), np.full(N, self.dt)
         return self._starts[:N], self.dt[:N]
 
+    def _time_grid(self, N: int) -> tuple[Array, Array]:
+        self.steps(N)  # refuses a horizon of another length
+        return self._grid(N)
+
     def _arguments(self, N: int) -> tuple[Any, ...]:
-        self.steps(N)
-        times, steps = self._grid(N)
-        return (self._f, self._code, self._nv, times, steps, self.parameters)
+        return (self._f, self._code, self._nv, *self._time_grid(N), self.parameters)
 
     def _trajectory(self, X: Array, U: Array, bad: int) -> Trajectory:
         N = len(U)
@@ -266,35 +305,22 @@ class FunctionDynamics(Dynamics):
         held[:N] = U
         return np.append(self._grid(N)[0], self.steps(N).sum()), held
 
-    def _reader(self, plain: Callable[..., Any]) -> Callable[..., Any]:
-        return kernels.compiled(plain) if self._reads_compiled else plain
+    def _reader(self, python: Callable[..., Any]) -> Callable[..., Any]:
+        return kernels.compiled(python) if self._reads_compiled else python
 
     def _linearize_outputs(self, X: Array, U: Array) -> tuple[Array, Array]:
         C, D = np.zeros((len(X), self.ny, self.nx)), np.zeros((len(X), self.ny, self.nu))
         if self.ny:
-            by_differences = self.jacobian == "finite-difference"
-            self._differentiate_outputs(
-                kernels.linearize_differences if by_differences else kernels.linearize_complex, X, U, C, D
-            )
+            times, held = self._knots(U)
+            self._readings.jacobians(times, np.ones(len(X)), X, held, C, D)
             D[-1] = 0.0
         return C, D
 
     def _output_hessians(self, X: Array, U: Array, weights: Array) -> Array:
         """Second derivatives of w_n'y_n at every knot. Shape (N + 1, nx + nu, nx + nu)."""
-        H = np.zeros((len(X), self.nx + self.nu, self.nx + self.nu))
-        by_differences = self.jacobian == "finite-difference"
-        self._differentiate_outputs(
-            kernels.hessian_differences if by_differences else kernels.hessian_complex,
-            X, U, np.ascontiguousarray(weights), H,
-        )  # fmt: skip
+        H, (times, held) = np.zeros((len(X), self.nx + self.nu, self.nx + self.nu)), self._knots(U)
+        self._readings.hessians(times, np.ones(len(X)), X, held, np.ascontiguousarray(weights), H)
         return H
-
-    def _differentiate_outputs(self, kernel: Callable[..., Any], X: Array, U: Array, *arrays: Array) -> None:
-        """Run a kernel that differentiates maps on the outputs at all knots."""
-        times, held = self._knots(U)
-        arguments = (self._read, kernels.MAP, 0, times, np.ones(len(X)), self.parameters, X, held)
-        with np.errstate(all="ignore"), refused_complex("outputs", 'jacobian="finite-difference"'):
-            self._reader(kernel)(*arguments, *arrays)
 
     def _checked_hessian(self, parts: Any) -> Array:
         """H by (x, u) from its three blocks."""
@@ -321,10 +347,10 @@ class FunctionDynamics(Dynamics):
         if outputs is None:
             return lambda x, u, t, p: np.zeros(0), False, 0
         compiled = isinstance(outputs, Dispatcher)
-        read = _with_all_arguments(outputs, compiled, "outputs")
+        read = with_all_arguments(outputs, compiled, "outputs")
         try:
             with np.errstate(all="ignore"):
-                value = _plain(read)(np.zeros(self.nx), np.zeros(self.nu), 0.0, self.parameters)
+                value = plain(read)(np.zeros(self.nx), np.zeros(self.nu), 0.0, self.parameters)
             y = np.atleast_1d(np.asarray(value, dtype=np.float64))
         except (IndexError, ValueError, TypeError) as error:
             raise ValueError(
@@ -336,72 +362,14 @@ class FunctionDynamics(Dynamics):
             number = read
             return numba.njit(lambda x, u, t, p: np.array([number(x, u, t, p)])), True, 1
         compiled = compiled and isinstance(value, np.ndarray)
-        return read if compiled else lambda x, u, t, p: np.atleast_1d(_plain(read)(x, u, t, p)), compiled, y.size
+        return read if compiled else lambda x, u, t, p: np.atleast_1d(plain(read)(x, u, t, p)), compiled, y.size
 
     def _probe(self) -> None:
         """Call f once, so that a wrong shape is reported here and not from inside a rollout."""
         try:
             with np.errstate(all="ignore"):
-                value = np.asarray(_plain(self._f)(np.zeros(self.nx), np.zeros(self.nu), 0.0, self.parameters))
+                value = np.asarray(plain(self._f)(np.zeros(self.nx), np.zeros(self.nu), 0.0, self.parameters))
         except (IndexError, ValueError, TypeError) as error:
             raise ValueError(f"f fails for x of shape ({self.nx},) and u of shape ({self.nu},): {error}") from None
         if value.shape != (self.nx,):
             raise ValueError(f"f must return shape ({self.nx},), got {value.shape}")
-
-
-def _plain(f: Callable[..., Any]) -> Callable[..., Any]:
-    """The Python function that a compiled one was made of."""
-    python: Callable[..., Any] = f.py_func if isinstance(f, Dispatcher) else f
-    return python
-
-
-def _with_all_arguments(f: Callable[..., Any], compiled: bool, name: str = "f") -> Callable[..., Any]:
-    """Return f as a function of (x, u, t, p); plain functions return arrays whatever they are given as."""
-    given = _positional(_plain(f))
-    if given not in (2, 3, 4):
-        raise ValueError(f"{name} must take (x, u), (x, u, t) or (x, u, t, p), but takes {given} arguments")
-    if compiled:
-        if given == 4:
-            return f
-        if given == 3:
-            return numba.njit(lambda x, u, t, p: f(x, u, t))
-        return numba.njit(lambda x, u, t, p: f(x, u))
-    return lambda x, u, t, p: np.asarray(f(*(x, u, t, p)[:given]))
-
-
-def _limits(given: Any, nu: int) -> Array:
-    """Return limits given as (lower, upper) or as an array (nu, 2) as the latter, or raise ValueError."""
-    if given is None:
-        return np.tile([-np.inf, np.inf], (nu, 1))
-    if isinstance(given, tuple):
-        if len(given) != 2:
-            raise ValueError(f"control_limits must be (lower, upper) or an array ({nu}, 2), got {len(given)} entries")
-        sides = [as_array(f"control_limits[{i}]", side, finite=False) for i, side in enumerate(given)]
-        for i, side in enumerate(sides):
-            if side.shape not in ((), (nu,)):
-                raise ValueError(f"control_limits[{i}] must be a number or an array ({nu},), got shape {side.shape}")
-        limits = np.stack([np.broadcast_to(side, (nu,)) for side in sides], axis=-1)
-    else:
-        limits = np.array(as_array("control_limits", given, finite=False))
-        if limits.shape != (nu, 2):
-            raise ValueError(f"control_limits must be (lower, upper) or an array ({nu}, 2), got shape {limits.shape}")
-    wrong = ~(limits[:, 0] <= limits[:, 1])  # NaN too
-    if wrong.any():
-        i = int(np.argmax(wrong))
-        raise ValueError(
-            f"control_limits must have lower <= upper, but control {i} has {limits[i, 0]} and {limits[i, 1]}"
-        )
-    return limits
-
-
-def _positional(f: Callable[..., Any]) -> int:
-    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    return sum(p.kind in kinds and p.default is p.empty for p in inspect.signature(f).parameters.values())
-
-
-def _names(name: str, given: Sequence[str] | None, letter: str, size: int) -> tuple[str, ...]:
-    if given is None:
-        return tuple(f"{letter}[{i}]" for i in range(size))
-    if len(given) != size:
-        raise ValueError(f"{name} must have {size} entries, got {len(given)}")
-    return tuple(given)

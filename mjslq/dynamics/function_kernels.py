@@ -25,6 +25,8 @@ ABSURD = 1e15
 COMPLEX_STEP = 1e-40
 """So small that the second-order error underflows; no difference is taken, so nothing cancels."""
 
+SMALL = 1e-20
+"""Complex step of the derivatives whose differences make second ones; see `mjslq.complex_step`."""
 SECOND_STEP = 6e-6
 """Relative step of the differences that make second derivatives of first ones."""
 
@@ -135,7 +137,7 @@ def linearize_differences(f, integrator, nv, times, steps, p, X, U, A, B):
 def hessian_complex(f, integrator, nv, times, steps, p, X, U, costates, H):
     """Second derivatives of costate'step: centred differences of complex steps; relative error about 1e-10."""
     nx, size = X.shape[1], X.shape[1] + U.shape[1]
-    z, h = np.empty(size, dtype=np.complex128), complex(0.0, COMPLEX_STEP)
+    z, h = np.empty(size, dtype=np.complex128), complex(0.0, SMALL)
     for n in range(U.shape[0]):
         z[:nx], z[nx:] = X[n], U[n]
         for j in range(size):
@@ -149,7 +151,7 @@ def hessian_complex(f, integrator, nv, times, steps, p, X, U, costates, H):
                     forward = next_state(f, integrator, nv, z[:nx].copy(), z[nx:].copy(), times[n], steps[n], p)
                     z[i] = z[i].real
                     for k in range(forward.shape[0]):
-                        H[n, i, j] += sign * costates[n, k] * (forward[k].imag / COMPLEX_STEP) / (2.0 * e)
+                        H[n, i, j] += sign * costates[n, k] * (forward[k].imag / SMALL) / (2.0 * e)
             z[j] = here
             for i in range(j):
                 H[n, j, i] = H[n, i, j]

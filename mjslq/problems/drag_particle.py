@@ -10,6 +10,7 @@ peaks at both ends of the motion. The paper's methods fail at beta = 1.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,7 @@ from mjslq.dynamics.dynamics import Dynamics
 from mjslq.dynamics.function import FunctionDynamics
 from mjslq.problem import Problem
 from mjslq.problems.assets import load_asset
+from mjslq.trajectory import Trajectory
 from mjslq.validation import choose, count, finite, positive
 
 if TYPE_CHECKING:
@@ -70,9 +72,14 @@ def drag_particle(
         # The paper's accuracy is that of the gradient, which exact derivatives reach. Open loop: under feedback the
         # explicit drag can be driven beyond its stability into spurious minima.
         options={"step": "open-loop"} | ({"tol_direction": 0.0} if engine == "function" else {}),
-        describe=lambda trajectory: {"position": f"{trajectory.X[-1, 0]:.4f} m of {target:g} m"},
+        describe=partial(describe, target=target),
         drawing=_mujoco(beta, mass, dt).scene() if engine == "function" else None,
     )
+
+
+def describe(trajectory: Trajectory, target: float) -> dict[str, str]:
+    """Where the particle ends."""
+    return {"position": f"{trajectory.X[-1, 0]:.4f} m of {target:g} m"}
 
 
 def _function(beta: float, mass: float, dt: float) -> FunctionDynamics:

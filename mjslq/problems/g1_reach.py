@@ -9,6 +9,7 @@ the stance is a good start.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -62,7 +63,7 @@ def g1_reach(
         U0=hold,
         # Contacts that open and close leave kinks in the cost; near its end the search only shuffles them.
         options={"tol_direction": 1e-3},
-        describe=lambda trajectory: describe(trajectory, target),
+        describe=partial(describe, target=target),
     )
 
 

@@ -15,6 +15,7 @@ Euler, MuJoCo's own, reproduces these counts; explicit Euler does not.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -81,7 +82,7 @@ def hopper(
         # Gauss-Newton ends slowly here (the piston's stroke is a large residual); four digits of the controls do.
         # Feedback keeps the instants of touch-down where they are while the controls change.
         options={"tol_direction": 1e-4, "step": "closed-loop"},
-        describe=lambda trajectory: describe(trajectory, height),
+        describe=partial(describe, height=height),
         drawing=scene,
     )
 

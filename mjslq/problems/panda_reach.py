@@ -13,6 +13,7 @@ ends in another, far worse minimum.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -70,7 +71,7 @@ def panda_reach(
         # Full and half steps lead to this minimum; the steps that a parabola suggests lead to one 49 % dearer.
         # Gauss-Newton ends by halving the direction; beyond 1e-5 the cost changes in the tenth digit.
         options={"line_search": "armijo", "tol_direction": 1e-5},
-        describe=lambda trajectory: describe(trajectory, target),
+        describe=partial(describe, target=target),
         parameters={
             "x": x,
             "y": y,

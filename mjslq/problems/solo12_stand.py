@@ -7,6 +7,7 @@ x = (q, v) with a free base, u the twelve joint torques [Nm]. The feet touch the
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,7 @@ def solo12_stand(
         U0=_spring_legs(dynamics, start, goal, horizon),
         # Contacts that open and close leave kinks in the cost; near its end the search only shuffles them.
         options={"tol_direction": 1e-3},
-        describe=lambda trajectory: describe(trajectory, goal[2]),
+        describe=partial(describe, height=goal[2]),
     )
 
 

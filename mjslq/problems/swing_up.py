@@ -7,6 +7,8 @@ The motors are too weak to lift the links at once: they have to be swung.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from mjslq.costs import Control, State
@@ -46,7 +48,7 @@ def swing_up(
             State(weights, upright, when="terminal"),
         ],
         name=name,
-        describe=lambda trajectory: describe(trajectory, dynamics.nv),
+        describe=partial(describe, nv=dynamics.nv),
     )
 
 

@@ -21,6 +21,7 @@ from mjslq.costs import Control, Residual
 from mjslq.dynamics.function import FunctionDynamics
 from mjslq.problem import Problem
 from mjslq.scene import Scene
+from mjslq.trajectory import Trajectory
 from mjslq.validation import count, finite, positive
 
 PAPER_TABLE = (
@@ -59,9 +60,14 @@ def van_der_pol(
             "tol_gradient": 2e-9,
             "step": "open-loop",
         },  # ||H_u|| = ||dJ/dU|| / sqrt(h) below 1e-8
-        describe=lambda trajectory: {"rest": f"({trajectory.X[-1, 0]:+.4f}, {trajectory.X[-1, 1]:+.4f}) at the end"},
+        describe=describe,
         drawing=_scene(dt),
     )
+
+
+def describe(trajectory: Trajectory) -> dict[str, str]:
+    """Where the oscillator ends."""
+    return {"rest": f"({trajectory.X[-1, 0]:+.4f}, {trajectory.X[-1, 1]:+.4f}) at the end"}
 
 
 @njit(cache=True)

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -121,11 +121,7 @@ class PinocchioDynamics(Dynamics):
         model = models.load_urdf(path, floating_base)
         file, locked = Path(path).expanduser().resolve(), locked_positions(locked_joints)
         options.setdefault("name", file.stem)
-
-        def scene(dynamics: PinocchioDynamics) -> Scene | None:
-            return models.viewer_scene(file, dynamics.model, floating_base, locked, dynamics.name)
-
-        options.setdefault("scene", scene)
+        options.setdefault("scene", partial(_scene_of_file, file, floating_base, locked))
         return cls(model, timestep, locked_joints, outputs, **options)
 
     @classmethod
@@ -253,3 +249,9 @@ class PinocchioDynamics(Dynamics):
         stepped = self.model.copy()
         stepped.armature = self.model.armature + h * self.damping
         return SemiImplicitEuler(stepped, h, *rest)
+
+
+def _scene_of_file(
+    file: Path, floating_base: bool, locked: dict[str, float], dynamics: PinocchioDynamics
+) -> Scene | None:
+    return models.viewer_scene(file, dynamics.model, floating_base, locked, dynamics.name)

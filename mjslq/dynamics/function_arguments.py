@@ -1,0 +1,72 @@
+"""What users give to `FunctionDynamics`, checked and brought into one form: functions, limits, names."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numba
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+
+from mjslq.validation import Array, as_array
+
+
+def plain(f: Callable[..., Any]) -> Callable[..., Any]:
+    """The Python function that a compiled one was made of."""
+    python: Callable[..., Any] = f.py_func if isinstance(f, Dispatcher) else f
+    return python
+
+
+def with_all_arguments(f: Callable[..., Any], compiled: bool, name: str = "f") -> Callable[..., Any]:
+    """Return f as a function of (x, u, t, p); plain functions return arrays whatever they are given as."""
+    given = _positional(plain(f))
+    if given not in (2, 3, 4):
+        raise ValueError(f"{name} must take (x, u), (x, u, t) or (x, u, t, p), but takes {given} arguments")
+    if compiled:
+        if given == 4:
+            return f
+        if given == 3:
+            return numba.njit(lambda x, u, t, p: f(x, u, t))
+        return numba.njit(lambda x, u, t, p: f(x, u))
+    return lambda x, u, t, p: np.asarray(f(*(x, u, t, p)[:given]))
+
+
+def limits_of(given: Any, nu: int) -> Array:
+    """Return limits given as (lower, upper) or as an array (nu, 2) as the latter, or raise ValueError."""
+    if given is None:
+        return np.tile([-np.inf, np.inf], (nu, 1))
+    if isinstance(given, tuple):
+        if len(given) != 2:
+            raise ValueError(f"control_limits must be (lower, upper) or an array ({nu}, 2), got {len(given)} entries")
+        sides = [as_array(f"control_limits[{i}]", side, finite=False) for i, side in enumerate(given)]
+        for i, side in enumerate(sides):
+            if side.shape not in ((), (nu,)):
+                raise ValueError(f"control_limits[{i}] must be a number or an array ({nu},), got shape {side.shape}")
+        limits = np.stack([np.broadcast_to(side, (nu,)) for side in sides], axis=-1)
+    else:
+        limits = np.array(as_array("control_limits", given, finite=False))
+        if limits.shape != (nu, 2):
+            raise ValueError(f"control_limits must be (lower, upper) or an array ({nu}, 2), got shape {limits.shape}")
+    wrong = ~(limits[:, 0] <= limits[:, 1])  # NaN too
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        raise ValueError(
+            f"control_limits must have lower <= upper, but control {i} has {limits[i, 0]} and {limits[i, 1]}"
+        )
+    return limits
+
+
+def _positional(f: Callable[..., Any]) -> int:
+    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    return sum(p.kind in kinds and p.default is p.empty for p in inspect.signature(f).parameters.values())
+
+
+def names_of(name: str, given: Sequence[str] | None, letter: str, size: int) -> tuple[str, ...]:
+    """Names as given, or letters with indices; ValueError where there are not as many as there are entries."""
+    if given is None:
+        return tuple(f"{letter}[{i}]" for i in range(size))
+    if len(given) != size:
+        raise ValueError(f"{name} must have {size} entries, got {len(given)}")
+    return tuple(given)
