@@ -25,7 +25,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mjslq.dynamics.dynamics import Dynamics, Feedback, Linearization, Output
+from mjslq.dynamics.dynamics import Curvature, Dynamics, Feedback, Linearization, Output
+from mjslq.dynamics.records import curvature_of
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array, choose, count, positive
@@ -33,6 +34,7 @@ from mjslq.validation import Array, as_array, choose, count, positive
 if TYPE_CHECKING:
     import mujoco
 
+    from mjslq.dynamics.mujoco.inverse.curvature.hessians import InverseHessians
     from mjslq.dynamics.mujoco.inverse.jacobians import InverseJacobians
     from mjslq.dynamics.mujoco.simulator import Simulator
 
@@ -220,6 +222,35 @@ class MujocoDynamics(Dynamics):
         with self._lock:
             return self._inverse.linearize(X, U, F)
 
+    def hessian(
+        self,
+        trajectory: Trajectory,
+        costates: Array,
+        weights: Array | None = None,
+        linearization: Linearization | None = None,
+        ends: Array | None = None,
+    ) -> Curvature:
+        """Second derivatives contracted with costates, in closed form for most models; see `Dynamics.hessian`.
+
+        By differences of `linearize` where the model has parts without a closed form, or sensors without one that
+        have weights; `support_report` says so.
+        """
+        inverse = self._inverse_hessians
+        if inverse is None:
+            return super().hessian(trajectory, costates, weights, linearization, ends)
+        if linearization is None:
+            linearization = self.linearize(trajectory)
+        X, U, ends = trajectory.X, trajectory.U, trajectory.X[1:] if ends is None else ends
+        with self._lock:
+            H = inverse.hessians(X, U, ends, linearization, costates, weights)
+        if weights is not None and weights[:, inverse.open_readings].any():
+            rest = np.where(inverse.open_readings, weights, 0.0)
+            parts = super().hessian(trajectory, np.zeros_like(costates), rest, linearization, ends)
+            for whole, part in zip(found := curvature_of(H, self.ndx), parts, strict=True):
+                whole += part
+            return found
+        return curvature_of(H, self.ndx)
+
     def scene(self) -> Scene:
         """Return the compiled model, and where its pose is in x, for a viewer."""
         return self._scene
@@ -253,6 +284,17 @@ class MujocoDynamics(Dynamics):
         from mjslq.dynamics.mujoco.inverse.jacobians import InverseJacobians
 
         return InverseJacobians(self.simulator, self._eps, self._centered)
+
+    @cached_property
+    def _inverse_hessians(self) -> InverseHessians | None:
+        """Second derivatives in closed form; None where the model has parts without one."""
+        from mjslq.dynamics.mujoco.inverse.curvature.cover import reasons
+
+        if self.jacobian != "inverse" or reasons(self.model):
+            return None
+        from mjslq.dynamics.mujoco.inverse.curvature.hessians import InverseHessians
+
+        return InverseHessians(self._inverse)
 
     def _linearize_inverse(self, trajectory: Trajectory) -> Linearization:
         return self._inverse.linearize(trajectory.X, trajectory.U, trajectory.X[1:])
