@@ -19,8 +19,8 @@ from __future__ import annotations
 from numba import types
 
 from mjslq.dynamics.mujoco.inverse.algebra import assign
-from mjslq.dynamics.mujoco.inverse.curvature.cones import bend_cone, feel
-from mjslq.dynamics.mujoco.inverse.curvature.contacts import add_contact_slope
+from mjslq.dynamics.mujoco.inverse.curvature.cones import bend_cone
+from mjslq.dynamics.mujoco.inverse.curvature.contacts import add_load, add_slopes, start_loads
 from mjslq.dynamics.mujoco.inverse.rigid import outward
 from mjslq.dynamics.mujoco.inverse.rows.constraints import (
     CONE,
@@ -105,22 +105,22 @@ def slope_of_rows(job, acc, w, slope):
     for k in range(3):
         for i in range(job.nv):
             slope[k, i] = 0.0
-    bent, r = types.int64(0), types.int64(0)
+    bent, touching, r = types.int64(0), types.int64(0), types.int64(0)
     while r < rows:
-        kind, state, count = kinds[r], states[r], types.int64(1)
-        contact = contacts + ids[r] * job.at_contact_size if kind >= FRICTIONLESS else contacts
-        if kind >= FRICTIONLESS:
+        if kinds[r] >= FRICTIONLESS:
+            contact = contacts + ids[r] * job.at_contact_size
             dim = flags(contact + job.at_contact_dim, 1)[0]
-            count = types.int64(2 * (dim - 1) if kind == PYRAMIDAL else dim)
-        if kind == ELLIPTIC and state == CONE:
-            _add_cone_slope(job, r, contact, w, slope)
-        elif state == QUADRATIC:
-            bent = _add_row_slope(job, r, kind, ids[r], acc, w, slope, bent)
-        if kind >= FRICTIONLESS:
-            add_contact_slope(job, r, count, kind, contact, acc, w, slope[0])
-            if kind == ELLIPTIC and state == CONE:
-                r += count - 1
+            count = types.int64(2 * (dim - 1) if kinds[r] == PYRAMIDAL else dim)
+            if touching == 0:
+                start_loads(job, acc, w)
+            add_load(job, r, count, kinds[r], contact)
+            touching = types.int64(1)
+            r += count - 1
+        elif states[r] == QUADRATIC:
+            bent = _add_row_slope(job, r, kinds[r], ids[r], acc, w, slope, bent)
         r += 1
+    if touching == 1:
+        add_slopes(job, slope)
     if bent == 1:
         F = matrix(job.F, job.nv, job.columns)
         for i in range(job.nv):
@@ -173,26 +173,6 @@ def _is_second_row(job, r, index):
     """Whether the row before is one of the same equality constraint."""
     kinds = flags(entry_address(job.data + job.at_efc_type), r + 1)
     return r > 0 and kinds[r - 1] == EQUALITY and flags(entry_address(job.data + job.at_efc_id), r)[r - 1] == index
-
-
-@compiled
-def _add_cone_slope(job, first, contact, w, slope):
-    """J' H y and J' b H y of a sliding elliptic contact."""
-    dim = flags(contact + job.at_contact_dim, 1)[0]
-    H, dofs, values = (
-        matrix(contact + job.at_contact_H, dim, dim),
-        integers(job.dofs, job.nv),
-        vector(job.values, job.nv),
-    )
-    K, y = matrix(entry_address(job.data + job.at_efc_KBIP), first + dim, 4), vector(job.djar, 10)
-    feel(job, first, dim, w, y)
-    for k in range(dim):
-        force = 0.0
-        for c in range(dim):
-            force += H[k, c] * y[c]
-        for m in range(read_row(job, first + k, dofs, values)):
-            slope[1, dofs[m]] += K[first + k, 1] * force * values[m]
-            slope[2, dofs[m]] += force * values[m]
 
 
 @compiled
@@ -250,13 +230,13 @@ def _mark(job, marked):
             continue
         if kinds[r] >= FRICTIONLESS:
             geoms = flags(contacts + ids[r] * job.at_contact_size + job.at_contact_geom, 2)
-            for side in range(2):
-                _mark_chain(job, lastdof[integers(job.geom_bodyid, job.ngeom)[geoms[side]]], marked)
+            body = integers(job.geom_bodyid, job.ngeom)
+            _mark_between(job, lastdof[body[geoms[0]]], lastdof[body[geoms[1]]], marked)
             continue
         if kinds[r] == EQUALITY:
             if integers(job.eq_kind, job.neq)[ids[r]] in (CONNECT, WELD):
-                for side in range(2):
-                    _mark_chain(job, lastdof[of_body[2 * ids[r] + side]], marked)
+                _mark_between(job, lastdof[of_body[2 * ids[r]]], lastdof[of_body[2 * ids[r] + 1]], marked)
+                continue
             for k in range(first[ids[r]], first[ids[r] + 1]):
                 marked[second[k]] = 1
         for k in range(read_row(job, r, dofs, values)):
@@ -265,11 +245,16 @@ def _mark(job, marked):
 
 
 @inlined
-def _mark_chain(job, i, marked):
+def _mark_between(job, i, j, marked):
+    """Mark the dofs that move one of two bodies alone, given the last dof of either: no others change how they lie."""
     parent = integers(job.dof_parentid, job.nv)
-    while i >= 0:
-        marked[i] = 1
-        i = parent[i]
+    while i != j:
+        if i > j:
+            marked[i] = 1
+            i = parent[i]
+        else:
+            marked[j] = 1
+            j = parent[j]
 
 
 @compiled
