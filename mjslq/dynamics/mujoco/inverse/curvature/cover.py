@@ -5,9 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjslq.dynamics.mujoco.inverse.curvature.readings import CLOSED, DIFFERENCED, FLAT, OPEN
 from mjslq.dynamics.mujoco.inverse.forces.unmodelled_forces import is_spatial, unmodelled_forces
 from mjslq.dynamics.mujoco.inverse.table import columns
+from mjslq.dynamics.mujoco.inverse.table.columns import CLOSED, DIFFERENCED, FLAT, OPEN
 from mjslq.dynamics.mujoco.inverse.table.fluid_plan import in_fluid
 from mjslq.dynamics.mujoco.inverse.table.plan import (
     BIAS,

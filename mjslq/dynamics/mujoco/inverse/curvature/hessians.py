@@ -28,7 +28,7 @@ from mjslq import rotation
 from mjslq.dynamics.dynamics import Linearization
 from mjslq.dynamics.mujoco import kernels
 from mjslq.dynamics.mujoco.inverse.curvature.cover import served_sensors
-from mjslq.dynamics.mujoco.inverse.curvature.readings import DIFFERENCED, OPEN
+from mjslq.dynamics.mujoco.inverse.table.columns import DIFFERENCED, OPEN
 from mjslq.dynamics.mujoco.inverse.table.job import SECOND_WORK
 from mjslq.dynamics.mujoco.library import copied
 from mjslq.validation import Array

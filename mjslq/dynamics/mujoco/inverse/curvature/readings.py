@@ -30,11 +30,10 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
     velocity_at,
 )
 from mjslq.dynamics.mujoco.inverse.table import columns
+from mjslq.dynamics.mujoco.inverse.table.columns import CLOSED, DIFFERENCED
 from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix, vector
 from mjslq.dynamics.mujoco.kernels import copy_into
 
-FLAT, CLOSED, DIFFERENCED, OPEN = range(4)
-"""What serves a sensor: nothing to do, a closed form, differences in position alone, differences of the whole."""
 WIDTH = 1e-5
 """Size of the differences. [rad], [m]"""
 

@@ -40,13 +40,14 @@ from mjslq.dynamics.mujoco.inverse.rows.constraints import (
 )
 from mjslq.dynamics.mujoco.inverse.rows.differences import mj_comPos, mj_integratePos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.rows.equalities import add_tie
+from mjslq.dynamics.mujoco.inverse.rows.geometry import meets_in_points
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
-from mjslq.dynamics.mujoco.inverse.table.columns import BY_LENGTHS, CONNECT, WELD
+from mjslq.dynamics.mujoco.inverse.table.columns import BY_LENGTHS, CONNECT, PLANE, SPHERE, WELD
 from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, integers, matrix, vector
 from mjslq.dynamics.mujoco.kernels import copy_into
 
-WIDTH = 1e-5
-"""Size of the differences. [rad], [m]"""
+WIDTH, NARROW = 1e-5, 3e-9
+"""Size of the differences, to both sides and to one. [rad], [m]"""
 
 
 @compiled
@@ -179,37 +180,72 @@ def _is_second_row(job, r, index):
 def bend_rows(job, x, Z, X, S):
     """Z, X += the second derivatives at the knot x, whose rows have been evaluated; leaves mjData elsewhere."""
     acc, w, nv = vector(job.acc_c, job.nv), vector(job.w1, job.nv), job.nv
-    marked, way, qpos = integers(job.marked, nv), vector(job.change, nv), vector(job.qpos, job.nq)
-    slopes = matrix(job.slopes, 6, nv)
+    marked, way, slopes = integers(job.marked, nv), vector(job.change, nv), matrix(job.slopes, 6, nv)
     _mark(job, marked)
     _bend_cones(job, w, Z, X, S)
     if job.bodies_tied:
         _bend_ties(job, acc, w, marked, Z)
+    one_sided = _bends_sharply(job)
+    eps, share = NARROW if one_sided else WIDTH, 1.0 / NARROW if one_sided else 0.5 / WIDTH
+    if one_sided:
+        slope_of_rows(job, acc, w, slopes[3:])
     for i in range(nv):
         way[i] = 0.0
     for i in range(nv):
         if marked[i] == 0:
             continue
         way[i] = 1.0
-        for side in range(2):
-            copy_into(x[: job.nq], qpos)
-            mj_integratePos(job.model, qpos.ctypes.data, way.ctypes.data, -WIDTH if side else WIDTH)
-            mj_kinematics(job.model, job.data)
-            mj_comPos(job.model, job.data)
-            if find_rows(job) > 0:
-                evaluate_rows(job, acc, 1)
-                if job.bodies_tied:
-                    outward(job, vector(job.qvel, nv), acc)
-            slope_of_rows(job, acc, w, slopes[3 * side : 3 * side + 3])
+        _slope_beside(job, x, way, eps, acc, w, slopes[:3])
+        if not one_sided:
+            _slope_beside(job, x, way, -eps, acc, w, slopes[3:])
         way[i] = 0.0
         for c in range(nv):
-            by_q = 0.25 * (slopes[0, c] - slopes[3, c]) / WIDTH
-            by_v = 0.5 * (slopes[1, c] - slopes[4, c]) / WIDTH
+            by_q, by_v = 0.5 * share * (slopes[0, c] - slopes[3, c]), share * (slopes[1, c] - slopes[4, c])
             Z[i, c] += by_q
             Z[c, i] += by_q
             Z[nv + c, i] += by_v
             Z[i, nv + c] += by_v
-            X[c, i] += 0.5 * (slopes[2, c] - slopes[5, c]) / WIDTH
+            X[c, i] += share * (slopes[2, c] - slopes[5, c])
+
+
+@compiled
+def _slope_beside(job, x, way, eps, acc, w, slope):
+    """Write the gradient at the pose of x (+) eps way."""
+    qpos = vector(job.qpos, job.nq)
+    copy_into(x[: job.nq], qpos)
+    mj_integratePos(job.model, qpos.ctypes.data, way.ctypes.data, eps)
+    mj_kinematics(job.model, job.data)
+    mj_comPos(job.model, job.data)
+    if find_rows(job) > 0:
+        evaluate_rows(job, acc, 1)
+        if job.bodies_tied:
+            outward(job, vector(job.qvel, job.nv), acc)
+    slope_of_rows(job, acc, w, slope)
+
+
+@compiled
+def _bends_sharply(job):
+    """Whether narrow differences to one side will do.
+
+    They do where all rows that push are limits, friction, or contacts with planes or between spheres: their impedance
+    bends within millimetres, and their gradient is exact to the last digits. How other contacts move is known to nine
+    digits only (`geometry`: FLAT; `pairs`).
+    """
+    rows = entry_count(job.data + job.at_nefc)
+    kinds = flags(entry_address(job.data + job.at_efc_type), rows)
+    ids = flags(entry_address(job.data + job.at_efc_id), rows)
+    states = flags(entry_address(job.data + job.at_efc_state), rows)
+    contacts, shape = entry_address(job.data + job.at_contact), integers(job.geom_kind, job.ngeom)
+    for r in range(rows):
+        if kinds[r] == EQUALITY:
+            return False
+        if kinds[r] >= FRICTIONLESS and states[r] != SATISFIED:
+            contact = contacts + ids[r] * job.at_contact_size
+            geoms = flags(contact + job.at_contact_geom, 2)
+            first, second = shape[geoms[0]], shape[geoms[1]]
+            if not (first == PLANE and meets_in_points(job, contact)) and not (first == SPHERE and second == SPHERE):
+                return False
+    return True
 
 
 @compiled

@@ -92,7 +92,8 @@ SECOND_WORK: dict[str, tuple[int | str, int | str]] = {
     "dof_W": ("nv", 6), "body_W": ("nbody", 6), "body_IW": ("nbody", 6), "body_y": ("nbody", 3),
     "body_YW": ("nbody", 6), "w1": ("nv", 1), "w2": ("nv", 1), "masked": ("nv", 1), "Sd": ("nv", "columns"),
     "Zg": ("columns", "columns"), "Xg": ("nv", "columns"), "weightless": (3, 1), "slopes": (6, "nv"),
-    "before_w": ("nv", 6), "body_V": ("nbody", 18), "loads": ("nbody", 24), "cone_rates": (6, "columns"), "cone": (6, 6),
+    "before_w": ("nv", 6), "body_V": ("nbody", 18), "loads": ("nbody", 24), "cone_rates": (6, "columns"),
+    "cone": (6, 6),
 }  # fmt: skip
 """Shapes of the arrays for intermediate results of second derivatives."""
 OFFSETS = tuple(f"at_{name}" for name in ARENA + COUNTS + tuple(f"contact_{name}" for name in (*CONTACT, "size")))
