@@ -26,7 +26,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjslq.dynamics.dynamics import Dynamics, Feedback, Linearization, Output
+from mjslq.dynamics.dynamics import Curvature, Dynamics, Feedback, Linearization, Output
+from mjslq.dynamics.records import curvature_of
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array, choose, count, positive
@@ -34,10 +35,15 @@ from mjslq.validation import Array, as_array, choose, count, positive
 if TYPE_CHECKING:
     import mujoco
 
+    from mjslq.dynamics.mujoco.inverse.curvature.hessians import InverseHessians
     from mjslq.dynamics.mujoco.inverse.jacobians import InverseJacobians
     from mjslq.dynamics.mujoco.inverse.runge_kutta import RungeKuttaJacobians
     from mjslq.dynamics.mujoco.simulator import Simulator
     from mjslq.dynamics.mujoco.step_differences import OneSided
+
+
+CURVATURE_PRICE = 10.0
+"""Linearizations that second derivatives in closed form cost, about."""
 
 
 class MujocoDynamics(Dynamics):
@@ -254,6 +260,40 @@ class MujocoDynamics(Dynamics):
                 return self._runge_kutta.linearize(X, U, substates)
             return self._inverse.linearize(X, U, substates, F)
 
+    @property
+    def curvature_price(self) -> float:
+        """See `Dynamics.curvature_price`: some passes where there is a closed form, more with contacts."""
+        return super().curvature_price if self._inverse_hessians is None else CURVATURE_PRICE
+
+    def hessian(
+        self,
+        trajectory: Trajectory,
+        costates: Array,
+        weights: Array | None = None,
+        linearization: Linearization | None = None,
+        ends: Array | None = None,
+    ) -> Curvature:
+        """Second derivatives contracted with costates, in closed form for most models; see `Dynamics.hessian`.
+
+        By differences of `linearize` where the model has parts without a closed form, or sensors without one that
+        have weights; `support_report` says so.
+        """
+        inverse = self._inverse_hessians
+        if inverse is None:
+            return super().hessian(trajectory, costates, weights, linearization, ends)
+        if linearization is None:
+            linearization = self.linearize(trajectory)
+        X, U, ends = trajectory.X, trajectory.U, trajectory.X[1:] if ends is None else ends
+        with self._lock:
+            H = inverse.hessians(X, U, ends, linearization, costates, weights)
+        if weights is not None and weights[:, inverse.open_readings].any():
+            rest = np.where(inverse.open_readings, weights, 0.0)
+            parts = super().hessian(trajectory, np.zeros_like(costates), rest, linearization, ends)
+            for whole, part in zip(found := curvature_of(H, self.ndx), parts, strict=True):
+                whole += part
+            return found
+        return curvature_of(H, self.ndx)
+
     def scene(self) -> Scene:
         """Return the compiled model, and where its pose is in x, for a viewer."""
         return self._scene
@@ -303,6 +343,18 @@ class MujocoDynamics(Dynamics):
         from mjslq.dynamics.mujoco.inverse.runge_kutta import RungeKuttaJacobians
 
         return RungeKuttaJacobians(self.model, self.space, self._threads, self._eps, self._centered)
+
+    @cached_property
+    def _inverse_hessians(self) -> InverseHessians | None:
+        """Second derivatives in closed form; None where the model has parts without one, or several steps a knot."""
+        from mjslq.dynamics.mujoco.inverse.curvature.cover import reasons
+        from mjslq.dynamics.mujoco.inverse.table.continuous import is_runge_kutta
+
+        if self.jacobian != "inverse" or self.substeps > 1 or is_runge_kutta(self.model) or reasons(self.model):
+            return None
+        from mjslq.dynamics.mujoco.inverse.curvature.hessians import InverseHessians
+
+        return InverseHessians(self._inverse)
 
     def _linearize_inverse(self, trajectory: Trajectory) -> Linearization:
         from mjslq.dynamics.mujoco.inverse.table.continuous import is_runge_kutta

@@ -7,8 +7,11 @@ import numpy as np
 
 from mjslq.dynamics.mujoco.checks import INTEGRATORS
 from mjslq.dynamics.mujoco.inverse.cover import describe, refusals
+from mjslq.dynamics.mujoco.inverse.curvature.cover import reasons, served_sensors
+from mjslq.dynamics.mujoco.inverse.readings.outputs import sensors
+from mjslq.dynamics.mujoco.inverse.table.columns import OPEN
 from mjslq.dynamics.mujoco.inverse.table.continuous import is_runge_kutta
-from mjslq.dynamics.mujoco.inverse.table.plan import can_be_constrained, has_contacts
+from mjslq.dynamics.mujoco.inverse.table.plan import arrays, can_be_constrained, has_contacts
 from mjslq.dynamics.mujoco.names import control_limits
 
 _JOINT_NAMES = {
@@ -31,9 +34,24 @@ def report(model: mujoco.MjModel, differences: str, jacobian: str) -> list[tuple
     """List the parts `model` has as (part, what serves it); `differences` says how "transition" linearizes the step."""
     if jacobian == "inverse":
         chained = ", its four stages chained" if is_runge_kutta(model) else ""
-        return _parts(model, f"analytic, through the inverse dynamics{chained}") + describe(model)
+        parts = _parts(model, f"analytic, through the inverse dynamics{chained}")
+        return [*parts, *describe(model), _second_derivatives(model)]
     reasons = "; ".join(refusals(model)) or "not asked for"
     return [*_parts(model, differences), *_rest(model, differences), ('no jacobian="inverse"', reasons)]
+
+
+def _second_derivatives(model: mujoco.MjModel) -> tuple[str, str]:
+    """Row on the second derivatives of a model that "inverse" serves."""
+    name, why = "second derivatives", "; ".join(reasons(model))
+    if why:
+        return name, f"differences of Jacobians along every state and control, since {why}"
+    pushing = "; of forces of constraints, in positions, differences of their gradient"
+    by_differences = "; of some sensors, differences of Jacobians along every state and control"
+    open_sensors = bool((served_sensors(model, arrays(sensors(model))) == OPEN).any())
+    return (
+        name,
+        "analytic" + (pushing if can_be_constrained(model) else "") + (by_differences if open_sensors else ""),
+    )
 
 
 def _parts(model: mujoco.MjModel, differences: str) -> list[tuple[str, str]]:

@@ -235,7 +235,7 @@ def _constrained_step(job, x):
     nv = job.nv
     mass_matrix(job, M)
     complete_inertia(job)
-    fine = _continuous_acceleration(job, M, M_hat, G)
+    fine = continuous_acceleration(job, M, M_hat, G)
     fine = differentiate_acceleration(job, x) and fine
     if job.implicit == 0 or job.implicit == 3:
         return fine
@@ -279,7 +279,7 @@ def differentiate_acceleration(job, x):
 
 
 @compiled
-def _continuous_acceleration(job, M, M_hat, G):
+def continuous_acceleration(job, M, M_hat, G):
     """a_c = M^-1 M^ a_d; False when M is singular."""
     acc_c, acc_d = matrix(job.acc_c, job.nv, 1), vector(job.acc_d, job.nv)
     for i in range(job.nv):

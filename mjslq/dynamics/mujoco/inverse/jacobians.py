@@ -36,13 +36,13 @@ class InverseJacobians:
     """Linearizes trajectories of a covered model, with the workers and mjData of a `Simulator`."""
 
     def __init__(self, simulator: Simulator, eps: float, centered: bool):
-        self._simulator = simulator
+        self._simulator, self.workers, self.model = simulator, simulator.workers, simulator.model
         model = simulator.model
         rest = unmodelled_forces(model)
         self._rest = rest_part(model, rest) if rest.exists else None
         part = covered_part(model, rest)
         table = plan(part) | arrays(actuator_table(part))
-        self._table = table | arrays(
+        self.table = table | arrays(
             metric_table(part, table)
             | sensors(model)
             | fluid_table(model)
@@ -52,7 +52,8 @@ class InverseJacobians:
         )
         self._row_model = row_model(simulator.model)
         self._work = [self._workspace() for _ in range(simulator.workers.count)]
-        self._blank = self._blank_jobs()
+        self.blank = self._blank_jobs()
+        """A job for each worker, with all that is the same at every call."""
 
     def linearize(self, X: Array, U: Array, substates: Array, ends: Array) -> Linearization:
         """Jacobians of every step and of the outputs, the knots shared out among the workers.
@@ -69,7 +70,7 @@ class InverseJacobians:
         )
         knots = N + 1 if ny else N
         shares = simulator.shares(knots)
-        jobs = copied(self._blank[: len(shares) - 1])
+        jobs = copied(self.blank[: len(shares) - 1])
         jobs["N"], jobs["first"], jobs["last"] = N, shares[:-1], shares[1:]
         states = {"X": X, "U": U, "S": substates, "ends": ends}
         given = {name: np.ascontiguousarray(array) for name, array in states.items()}
@@ -86,7 +87,7 @@ class InverseJacobians:
         jobs["rest_model"] = self._rest._address if self._rest else 0
         for name in ("ten_J_rownnz", "ten_J_rowadr", "ten_J_colind"):
             jobs[name] = getattr(model, name).ctypes.data
-        for name, value in self._table.items():
+        for name, value in self.table.items():
             jobs[name] = value.ctypes.data if value.ndim else value
         for name, at in offsets().items():
             jobs["at_" + name.replace(".", "_")] = at
@@ -104,9 +105,9 @@ class InverseJacobians:
         from mjslq.dynamics.mujoco.inverse.kernel import CONSTRAINED, FEELING, SMOOTH, WHOLE
 
         def any_of(*names: str) -> bool:
-            return any(bool(self._table[name]) for name in names)
+            return any(bool(self.table[name]) for name in names)
 
-        if any_of("narm", "nfluid") or self._rest is not None or self._table["implicit"] == 3:
+        if any_of("narm", "nfluid") or self._rest is not None or self.table["implicit"] == 3:
             return WHOLE
         if any_of("sensors_accelerated", "sensors_on_rows", "sensors_differenced", "sensors_cut"):
             return FEELING
@@ -114,6 +115,6 @@ class InverseJacobians:
 
     def _workspace(self) -> dict[str, Any]:
         """Arrays for intermediate results of one worker."""
-        sizes = [[int(self._table[n]) if isinstance(n, str) else n for n in shape] for shape in WORK.values()]
-        indices = {name: np.zeros(int(self._table["nv"]), np.int64) for name in INDICES}
+        sizes = [[int(self.table[n]) if isinstance(n, str) else n for n in shape] for shape in WORK.values()]
+        indices = {name: np.zeros(int(self.table["nv"]), np.int64) for name in INDICES}
         return dict(zip(WORK, map(np.zeros, sizes), strict=True)) | indices

@@ -203,7 +203,7 @@ def _turn_rows(job, first, v_next, A, B):
 
 
 @compiled
-def _load(job, x, u):
+def load(job, x, u):
     """Put state and control into mjData."""
     copy_into(x[: job.nq], vector(job.qpos, job.nq))
     copy_into(x[job.nq : job.nq + job.nv], vector(job.qvel, job.nv))
@@ -274,8 +274,8 @@ def _feel_last_knot(job, x, odd):
         fill(matrix(job.acc_rate, job.nv, job.columns), np.nan)
 
 
-def _sources() -> int:
-    """Checksum of all that the kernel is made of: numba by itself looks at this file's date alone."""
+def sources() -> int:
+    """Checksum of all that the kernels here are made of: numba by itself looks at this file's date alone."""
     folder, checksum = Path(__file__).parent, 1
     for path in [folder.parent / "kernels.py", *sorted(folder.rglob("*.py"))]:
         checksum = zlib.crc32(path.read_bytes(), checksum)
@@ -292,7 +292,7 @@ integrator's metric."""
 @functools.cache
 def kernel(level: int) -> Any:
     """Compile the loop over the horizon, or find it on disk; what a model does not need would take long to compile."""
-    return _make_kernel(_sources(), level >= CONSTRAINED, level >= FEELING, level >= WHOLE)
+    return _make_kernel(sources(), level >= CONSTRAINED, level >= FEELING, level >= WHOLE)
 
 
 def _make_kernel(stamp: int, constrained: bool, feeling: bool, whole: bool) -> Any:
@@ -314,7 +314,7 @@ def _make_kernel(stamp: int, constrained: bool, feeling: bool, whole: bool) -> A
             for s in range(job.substeps if n < job.N else 1):
                 S = job.S + 8 * (n * between + s) * nx  # of the state at the end of this step, unless it is the last
                 x = vector(S - 8 * nx if s > 0 else job.X + 8 * n * nx, nx)
-                _load(job, x, U[n] if n < job.N else no_control)
+                load(job, x, U[n] if n < job.N else no_control)
                 mj_kinematics(job.model, job.data)
                 mj_comPos(job.model, job.data)
                 if n < job.N:

@@ -55,7 +55,7 @@ from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix, vector
 
 
 @inlined
-def _coriolis_matrix(Y, b, inertia, v):
+def coriolis_matrix(Y, b, inertia, v):
     """Write Y of body b into its row, as Yxx Yyy Yzz Yxy Yxz Yyz."""
     w0, w1, w2 = head(v)
     l0, l1, l2 = tail(v)
@@ -126,7 +126,7 @@ def outward(job, vel, acc):
         put6(body_force, b, add6(inertia_times(cinert, b, a), cross_force(v, h)))
         for k in range(10):
             body_inertia[b, k] = cinert[b, k]
-        _coriolis_matrix(body_Y, b, cinert, v)
+        coriolis_matrix(body_Y, b, cinert, v)
 
 
 @compiled

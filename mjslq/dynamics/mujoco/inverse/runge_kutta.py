@@ -118,7 +118,7 @@ class RungeKuttaJacobians:
             return y, Z + dd
         forth = self._space.difference_jacobian(y, x)
         assert forth is not None
-        return y, np.linalg.solve(back, forth @ Z + dd)
+        return y, np.asarray(np.linalg.solve(back, forth @ Z + dd), dtype=np.float64)
 
     def _clip_activations(self, end: Array, Z: Array) -> None:
         """Clear the rows of activations that end beyond their range."""

@@ -76,11 +76,11 @@ def add_springs(job, F):
         x = qpos[spring_qadr[s]] - spring_prm[s, 0]
         F[i, i] -= spring_prm[s, 1] + x * (2.0 * spring_prm[s, 2] + x * 3.0 * spring_prm[s, 3])
     for s in range(ball_dof.shape[0]):
-        _add_ball_spring(job, s, F)
+        add_ball_spring(job, s, F)
 
 
 @compiled
-def _add_ball_spring(job, s, F):
+def add_ball_spring(job, s, F):
     """Torque -g(t) phi with phi the rotation vector from rest, t its length, g(t) = k1 + k2 t + k3 t^2.
 
     dphi = J dq, with J = 1 + [phi]/2 + c [phi]^2 the inverse of the rotation group's right Jacobian.
@@ -340,7 +340,6 @@ def add_site_actuators(job, F):
     Their generalized force is S_j . W. Turning a dof i turns W, and with it all S_j beyond i: what is left is
     S_j . (S_i x* W) for the j before i.
     """
-    body_rootid = integers(job.body_rootid, job.nbody)
     body_lastdof = integers(job.body_lastdof, job.nbody)
     dof_parentid = integers(job.dof_parentid, job.nv)
     dof_group = integers(job.dof_group, job.nv)
@@ -348,21 +347,13 @@ def add_site_actuators(job, F):
     act_site = integers(job.act_site, job.nu)
     act_body = integers(job.act_body, job.nu)
     act_arm = integers(job.act_arm, job.nu)
-    act_gear = matrix(job.act_gear, job.nu, 6)
     cdof = matrix(job.cdof, job.nv, 6)
-    subtree_com = matrix(job.subtree_com, job.nbody, 3)
-    site_xpos = matrix(job.site_xpos, job.nsite, 3)
-    site_xmat = matrix(job.site_xmat, job.nsite, 9)
     act_force = matrix(job.act_force, job.nu, FORCE_NUMBERS)
     nv, na = job.nv, job.na
     for i in range(job.nu):
-        site = act_site[i]
-        if site < 0 or act_arm[i] >= 0:
+        if act_site[i] < 0 or act_arm[i] >= 0:
             continue
-        body, R, gear = act_body[i], site_xmat[site], act_gear[i]
-        push = _turn(R, gear[0], gear[1], gear[2])
-        x = sub3(row3(site_xpos, site), row3(subtree_com, body_rootid[body]))
-        W = join(add3(_turn(R, gear[3], gear[4], gear[5]), cross3(x, push)), push)
+        body, W = act_body[i], site_wrench(job, i)
         force = act_force[i, 0]
         last = body_lastdof[body]
         k = last
@@ -377,6 +368,18 @@ def add_site_actuators(job, F):
                 F[j, k] += force * dot6(row6(cdof, j), turned)
                 j = dof_parentid[j]
             k = dof_parentid[k]
+
+
+@compiled
+def site_wrench(job, i):
+    """Wrench of actuator i on the body of its site, per unit of force, about the tree's centre of mass."""
+    body_rootid = integers(job.body_rootid, job.nbody)
+    site, body = integers(job.act_site, job.nu)[i], integers(job.act_body, job.nu)[i]
+    R, gear = matrix(job.site_xmat, job.nsite, 9)[site], matrix(job.act_gear, job.nu, 6)[i]
+    push = _turn(R, gear[0], gear[1], gear[2])
+    place, center = matrix(job.site_xpos, job.nsite, 3), matrix(job.subtree_com, job.nbody, 3)
+    x = sub3(row3(place, site), row3(center, body_rootid[body]))
+    return join(add3(_turn(R, gear[3], gear[4], gear[5]), cross3(x, push)), push)
 
 
 @inlined

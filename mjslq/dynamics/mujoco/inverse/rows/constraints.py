@@ -168,9 +168,9 @@ def add_rows(job, acc, F, G):
             if tied and (r == 0 or kinds[r - 1] != EQUALITY or ids[r - 1] != ids[r]):
                 add_tie(job, r, ids[r], F)
             elif kind == EQUALITY and integers(job.eq_kind, job.neq)[ids[r]] == BY_LENGTHS:
-                _add_curvature(job, ids[r], D[r], b, jar[r], acc, dofs[:size], values, F)
+                add_bent_lengths(job, ids[r], D[r], b, jar[r], acc, dofs[:size], values, F)
             elif kind == LIMIT_JOINT and integers(job.dof_qadr, nv)[dofs[0]] < 0:
-                _add_turning_axis(
+                add_turning_axis(
                     job, integers(job.dof_group, nv)[dofs[0]], D[r], b, jar[r], acc, dofs[:size], values, F
                 )
         pushes = states[r] != SATISFIED
@@ -188,7 +188,7 @@ def add_rows(job, acc, F, G):
 
 
 @compiled
-def _add_curvature(job, index, D, b, jar, acc, dofs, values, F):
+def add_bent_lengths(job, index, D, b, jar, acc, dofs, values, F):
     """F += the part that the change of J has, of an equality constraint with a polynomial P of a second length."""
     first = integers(job.eq_first, job.neq + 1)
     second, coef = integers(job.eq_dof, job.neq_coef), vector(job.eq_coef, job.neq_coef)
@@ -204,7 +204,7 @@ def _add_curvature(job, index, D, b, jar, acc, dofs, values, F):
 
 
 @compiled
-def _add_turning_axis(job, group, D, b, jar, acc, dofs, values, F):
+def add_turning_axis(job, group, D, b, jar, acc, dofs, values, F):
     """F += the part that the change of J = -n' has, of the limit of a ball joint whose dofs start at `group`."""
     qvel = vector(job.qvel, job.nv)
     x = (

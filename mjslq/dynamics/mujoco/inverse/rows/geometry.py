@@ -90,7 +90,7 @@ def _find_table(job, contact):
     first = first_of_pair(job, contact)
     k = (contact - first) // job.at_contact_size
     if not (_is_kept(job, 1, first) and k < MOST):
-        if _meets_in_points(job, contact) and _fill_by_curvature(job, contact, own):
+        if meets_in_points(job, contact) and _fill_by_curvature(job, contact, own):
             _keep(job, 0, contact)
             return own
         fill_by_differences(job, first)
@@ -116,7 +116,7 @@ def _keep(job, place, contact):
 
 
 @inlined
-def _meets_in_points(job, contact):
+def meets_in_points(job, contact):
     """Whether every contact of two geoms is exactly one point of either that faces the other."""
     geoms, kinds = flags(contact + job.at_contact_geom, 2), integers(job.geom_kind, job.ngeom)
     first, second = kinds[geoms[0]], kinds[geoms[1]]

@@ -31,3 +31,5 @@ FOUND, CONTACT_FORCE, CONTACT_TORQUE, DISTANCE, POINT, NORMAL, TANGENT, CONTACT_
 """Fields of a contact sensor's slots, in their order; the bits of its specification."""
 IN_ORDER, NEAREST, STRONGEST, NET_FORCE = range(4)
 """How a contact sensor chooses among contacts, mjtContactReduce's numbers."""
+FLAT, CLOSED, DIFFERENCED, OPEN = range(4)
+"""What serves a sensor's second derivatives: nothing to do, a closed form, differences by position, or by all."""

@@ -13,6 +13,7 @@ Entries of a job, arrays by address:
     VIEWS                arrays of mjData, filled by MuJoCo's own functions at each knot
     WORK                 arrays for intermediate results, one set per worker
     RESULTS              states, controls, states between the knots, where the steps end, and the Jacobians
+    SECOND, SECOND_WORK  what second derivatives need besides
     OFFSETS              where mjData and mjContact hold what lies in the arena (`layout`)
 
 Names are those of mjModel and mjData wherever they mean the same. A compiled function takes the whole job and makes
@@ -86,9 +87,21 @@ WORK: dict[str, tuple[int | str, int | str]] = {
 INDICES = ("dofs", "chain", "marked", "member", "spinning")
 """Arrays of nv integers for intermediate results."""
 RESULTS = ("X", "U", "S", "ends", "A", "B", "C", "D")
+SECOND = ("pull", "weights", "sen_bent", "Z", "Xd", "Xc", "Sc", "apart")
+"""Of second derivatives (`curvature.kernel`): derivative of lambda' x_{n+1} by the step's acceleration (N, nv), weights
+of the readings (N + 1, ny), address 0 for none, what serves each sensor; results, and marks of the knots with all."""
+SECOND_WORK: dict[str, tuple[int | str, int | str]] = {
+    "dof_W": ("nv", 6), "body_W": ("nbody", 6), "body_IW": ("nbody", 6), "body_y": ("nbody", 3),
+    "body_YW": ("nbody", 6), "w1": ("nv", 1), "w2": ("nv", 1), "masked": ("nv", 1), "Sd": ("nv", "columns"),
+    "Zg": ("columns", "columns"), "Xg": ("nv", "columns"), "weightless": (3, 1), "slopes": (6, "nv"),
+    "before_w": ("nv", 6), "body_V": ("nbody", 18), "loads": ("nbody", 24), "cone_rates": (6, "columns"),
+    "cone": (6, 6),
+}  # fmt: skip
+"""Shapes of the arrays for intermediate results of second derivatives."""
 OFFSETS = tuple(f"at_{name}" for name in ARENA + COUNTS + tuple(f"contact_{name}" for name in (*CONTACT, "size")))
 JOB = np.dtype(
     [(name, np.int64) for name in (*SIZES, *OBJECTS, *INTEGERS, *NUMBERS, *VIEWS, *WORK, *INDICES, *RESULTS, *OFFSETS)]
+    + [(name, np.int64) for name in (*SECOND, *SECOND_WORK)]
     + [("h", np.float64), ("eps", np.float64)]
 )
 """One row of this per worker."""
