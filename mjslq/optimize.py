@@ -17,6 +17,7 @@ from mjslq.options import COMMON, RECORDS, Stopping, names
 from mjslq.problem import Problem
 from mjslq.result import Result
 from mjslq.solvers.auto import Auto
+from mjslq.solvers.constrained import Constrained
 from mjslq.solvers.gradient import Gradient
 from mjslq.solvers.interrupts import Interrupts
 from mjslq.solvers.iterate import Iterate
@@ -43,6 +44,8 @@ class MethodInfo:
     """The record of its options (`mjslq.options`)."""
     takes_states: bool = False
     """Whether it takes a guess of the states."""
+    takes_constraints: bool = False
+    """Whether it takes constraints beside the limits of the controls."""
 
     @property
     def options(self) -> dict[str, Any]:
@@ -69,9 +72,15 @@ METHODS = {
     "gradient": MethodInfo(
         Gradient, "steepest descent with exact line search", "first derivatives", RECORDS["gradient"]
     ),
+    "constrained": MethodInfo(
+        Constrained, "augmented Lagrangian about the sweeps of auto: for problems with constraints",
+        "first derivatives, second ones where needed", RECORDS["constrained"], takes_constraints=True,
+    ),
 }  # fmt: skip
 ALIASES = {"ilqr": "slq"}
 """Other names that the field has for a method."""
+CONSTRAINED = "constrained"
+"""What "auto" stands for where there are constraints."""
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "slq": {
         "sideris-bobrow": {"step": "open-loop", "acceleration": False, "rescue": False, "multiplier": None},
@@ -157,6 +166,11 @@ def solve(
         raise ValueError(f"problem must be a mjslq.Problem, got {type(problem).__name__}")
     method = choose("method", method, [*METHODS, *ALIASES])
     method = ALIASES.get(method, method)
+    routed = ""
+    if problem.bound_constraints:
+        if method == "auto":
+            method, routed = CONSTRAINED, f"auto: {CONSTRAINED!r}, since the problem has constraints."
+        _refuse_constraints(problem, method)
     chosen = METHODS[method]
     stops = {"tol": tol, "max_iterations": max_iterations, "deadline": deadline}
     asked = {name: value for name, value in stops.items() if value is not None} | options
@@ -176,7 +190,7 @@ def solve(
         else:
             here = Iterate.guess(problem, start.X, start.U)
         outcome = descend(here, chosen.make(record), stopping, monitor, interrupts)
-        remarks = [start.remark, outcome.remark]
+        remarks = [start.remark, routed, outcome.remark]
         result = _result(outcome, monitor, problem, method, asdict(stopping) | asdict(record), remarks)
     if verbose:
         print(f"{result.status.value}: {result.message}", file=monitor.stream)
@@ -211,6 +225,15 @@ def _stopping(settings: dict[str, Any]) -> Stopping:
     return Stopping(**given)
 
 
+def _refuse_constraints(problem: Problem, method: str) -> None:
+    if not METHODS[method].takes_constraints:
+        names = ", ".join(repr(constraint.name) for constraint in problem.bound_constraints)
+        takers = [name for name, entry in METHODS.items() if entry.takes_constraints]
+        raise ValueError(
+            f"method {method!r} takes no constraints, but the problem has {names}; these do: auto, {', '.join(takers)}"
+        )
+
+
 def _refuse_wrong_derivatives(problem: Problem, U: Any) -> None:
     trajectory = problem.dynamics.rollout(problem.x0, U)
     if trajectory.diverged:
@@ -229,17 +252,21 @@ def _result(
     outcome: Outcome, monitor: Monitor, problem: Problem, method: str, options: dict[str, Any], remarks: list[str]
 ) -> Result:
     dynamics, iterate, box = problem.dynamics, outcome.iterate, problem.box
+    limits = {} if outcome.multipliers is None else {"controls": outcome.multipliers}
+    constrained = bool(problem.bound_constraints)
     return Result(
         status=outcome.status,
         message=" ".join(part for part in (outcome.status.message, *remarks) if part),
-        cost=iterate.cost,
+        cost=problem.cost(iterate.trajectory) if constrained else iterate.cost,
         iterations=sum(entry.outcome == "accepted" for entry in monitor.log),
         gradient_norm=outcome.gradient_norm,
         trajectory=iterate.trajectory,
         gains=outcome.gains,
         lower=box.lower,
         upper=box.upper,
-        multipliers={} if outcome.multipliers is None else {"controls": outcome.multipliers},
+        constraint_violation=problem.violation(iterate.trajectory) if constrained else 0.0,
+        violations=problem.violations(iterate.trajectory) if constrained else {},
+        multipliers=limits | outcome.duals.multipliers,
         log=tuple(monitor.log),
         iterates=tuple(monitor.iterates),
         seconds=monitor.seconds,

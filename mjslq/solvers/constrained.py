@@ -1,0 +1,206 @@
+"""`constrained`: an augmented Lagrangian, minimized by the sweeps of `auto` within the limits of the controls.
+
+Notation
+--------
+    L          cost and losses of the constraints (`solvers.augmented`): the augmented Lagrangian
+    s          size of the cost, so that constants do not depend on its unit
+    rho        penalty weight; rho / s is the one of a cost of size 1
+    e          complementarity, the largest |r - z|: how far constraints are from being met and touched
+    t          tolerance of a round
+
+Rounds
+------
+    1  iterate on L until |slope of the direction| < t (s + |L|), or `ROUND` iterations
+    2  lambda <- lambda+;  rho <- 10 rho where e has not fallen below a quarter of its last value
+    3  t <- max(`LEAST_T`, min(0.3 t, 0.01 e))
+
+from rho = 0.1 s and t = 0.01. Low weights first: where obstacles are in the way, a start that lies beyond one of them
+can still be pushed to either side. The solve ends when all constraints are met within `tol_violation`, e is as small, and
+L has no slope left by the tests that all methods share: at such a point the gradient of L is the one of the Lagrangian.
+
+Infeasible: e above 0.9 of its least value in `STALLED` rounds, and rho at least 1e4 s. Then the solve starts anew from
+its start with a tenth of the first rho, twice at most, and then says so. This is a local verdict: the iterate is a
+stationary point of the violation, and there may be another way.
+
+Each constraint's entry is scaled by the largest gradient that it has along the start. Limits of the controls are no
+part of this: the sweeps keep to them exactly.
+
+The result is the last iterate where the solve converged, and otherwise the one with the least violation, or the least
+cost among those that meet the constraints.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mjslq.options import ConstrainedOptions
+from mjslq.solvers.augmented import Augmented, scales_of, zero_multipliers
+from mjslq.solvers.auto import Auto
+from mjslq.solvers.iterate import Direction, Iterate
+from mjslq.solvers.merit import Merit
+from mjslq.solvers.method import Duals, Method, Step
+from mjslq.status import Status
+
+ROUND = 60
+"""Iterations of a round, at most."""
+FIRST_T, LEAST_T, TIGHTEN, OF_COMPLEMENTARITY = 1e-2, 1e-10, 0.3, 1e-2
+"""Tolerances of the rounds."""
+ENOUGH, GROW, LARGEST = 0.25, 10.0, 1e9
+"""Share of the complementarity that a round may leave; growth and largest value of rho / s."""
+NOT_FALLING, STALLED, HEAVY = 0.9, 4, 1e4
+"""What makes a problem infeasible."""
+RESTARTS, LIGHTER = 2, 0.1
+"""Times that the solve starts anew, and the factor on the first rho."""
+FAILURES = 4
+"""Rounds in a row without a step, at most."""
+
+
+class Best(NamedTuple):
+    """The iterate to fall back on."""
+
+    violation: float
+    cost: float
+    iterate: Iterate
+    augmented: Augmented
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Less is better."""
+        return self.violation, self.cost
+
+
+class Constrained(Method):
+    """The method, with its round."""
+
+    def __init__(self, options: ConstrainedOptions) -> None:
+        self.options = options
+        self._inner = Auto(options)
+        self._rounds = self._restarts = 0
+        self._best: Best | None = None
+        self._infeasible = ""
+
+    def begin(self, start: Iterate) -> Iterate:
+        """Put the losses of the first round into the cost."""
+        self._start = start
+        self._scales = scales_of(start.problem, start)
+        self._size = cost_size(start)
+        self._first_rho = self.options.penalty * self._size
+        return self._restart()
+
+    def direction(self, here: Iterate) -> Direction:
+        """The direction of `auto` on L."""
+        return self._inner.direction(here)
+
+    def step(self, here: Iterate, direction: Direction, merit: Merit) -> Step:
+        """A step on L, or the next round where this one is over."""
+        self._iterations += 1
+        slope = abs(merit.slope(here, direction))
+        over = not direction.limited and slope < self._t * (self._size + abs(here.cost))
+        if over or self._iterations > ROUND:
+            self._failures = 0
+            return self._next_round(here)
+        step = self._inner.step(here, direction, merit)
+        if step.iterate is None:
+            self._failures += 1
+            if self._failures > FAILURES:
+                return step
+            return self._next_round(here, step.rollouts)
+        self._failures = 0
+        self._keep(step.iterate)
+        return step
+
+    def accepts(self, here: Iterate) -> bool:
+        """Whether constraints are met and multipliers belong to limits that are touched."""
+        tol, augmented = self.options.tol_violation, self._augmented
+        met = augmented.problem.violation(here.trajectory) <= tol
+        return met and augmented.complementarity(here.trajectory) <= tol
+
+    def best(self, last: Iterate, status: Status) -> Iterate:
+        """The last iterate where the solve converged, or the best one."""
+        self._final = self._augmented
+        if status is Status.CONVERGED or self._best is None:
+            return last
+        self._augmented = self._final = self._best.augmented
+        return self._best.iterate
+
+    def duals(self, here: Iterate) -> Duals:
+        """Multipliers lambda+ and violations at `here`."""
+        augmented = self._augmented
+        named = zip(augmented.constraints, augmented.next_multipliers(here.trajectory), strict=True)
+        return Duals({constraint.name: multipliers for constraint, multipliers in named})
+
+    def remark(self) -> str:
+        """How the rounds went."""
+        parts = [f"{self._rounds} rounds"]
+        if self._restarts:
+            parts.append(f"{self._restarts} {'restart' if self._restarts == 1 else 'restarts'} with a smaller penalty")
+        said = f"constrained: {', '.join(parts)}."
+        return f"{self._infeasible} {said}" if self._infeasible else said
+
+    def _restart(self) -> Iterate:
+        """The first round from the start."""
+        self._augmented = Augmented.of(
+            self._start.problem, zero_multipliers(self._start.problem), self._scales, self._first_rho
+        )
+        self._t, self._last, self._least, self._stalled = FIRST_T, np.inf, np.inf, 0
+        self._iterations = self._failures = 0
+        self._rounds += 1
+        self._inner = Auto(self.options)
+        here = self._augmented.about(self._start)
+        self._keep(here)
+        return here
+
+    def _next_round(self, here: Iterate, rollouts: int = 0) -> Step:
+        """Rules 2 and 3 at the head of this file, or the end."""
+        e, rho = self._augmented.complementarity(here.trajectory), self._augmented.rho
+        tol = self.options.tol_violation
+        self._stalled = self._stalled + 1 if e > max(NOT_FALLING * self._least, tol) else 0
+        if self._stalled >= STALLED and rho >= HEAVY * self._size:
+            return self._give_up(here, rollouts)
+        self._least = min(self._least, e)
+        if e > ENOUGH * self._last and e > 0.1 * tol:
+            rho = min(GROW * rho, LARGEST * self._size)
+        self._last = e
+        self._t = max(LEAST_T, min(TIGHTEN * self._t, OF_COMPLEMENTARITY * e))
+        self._augmented = self._augmented.updated(here.trajectory, rho)
+        self._iterations, self._rounds = 0, self._rounds + 1
+        there = self._augmented.about(here)
+        self._keep(there)
+        return Step(there, rollouts=rollouts, rejected=True)
+
+    def _give_up(self, here: Iterate, rollouts: int) -> Step:
+        """Start anew with a smaller penalty, or call the problem infeasible."""
+        if self._restarts < RESTARTS:
+            self._restarts += 1
+            self._first_rho *= LIGHTER
+            return Step(self._restart(), rollouts=rollouts, rejected=True)
+        self._infeasible = _verdict(here if self._best is None else self._best.iterate, self.options.tol_violation)
+        return Step(None, rollouts=rollouts, status=Status.INFEASIBLE)
+
+    def _keep(self, iterate: Iterate) -> None:
+        """Remember the iterate if it is the best so far."""
+        problem = iterate.problem.unpenalized
+        violation = max(problem.violation(iterate.trajectory), self.options.tol_violation)
+        found = Best(violation, problem.cost(iterate.trajectory), iterate, self._augmented)
+        if self._best is None or found.rank <= self._best.rank:
+            self._best = found
+
+
+def cost_size(start: Iterate) -> float:
+    """s: the size of the cost."""
+    return 1.0
+
+
+def _verdict(here: Iterate, tol: float) -> str:
+    """Which constraints are violated, and where."""
+    found = []
+    for name, violation in here.problem.unpenalized.violations(here.trajectory).items():
+        knots = np.flatnonzero(violation > tol)
+        if knots.size:
+            worst = int(violation.argmax())
+            where = f"knot {knots[0]}" if knots.size == 1 else f"{knots.size} of the knots {knots[0]} to {knots[-1]}"
+            found.append((float(violation[worst]), f"{name!r} at {where}, by up to {violation[worst]:.3g}"))
+    found.sort(reverse=True)
+    return "Violated: " + "; ".join(text for _, text in found) + "." if found else ""
