@@ -115,7 +115,7 @@ def car(discs=(1.0, 0.5, 0.35, 2.0, 1.3, 0.4, 1.3, 1.8, 0.4)):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _reentry(x, u):
     v, angle, h = x[0] * 1e4, x[1], x[2] * 1e5
     radius = 20904000.0

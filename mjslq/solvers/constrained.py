@@ -39,6 +39,7 @@ from mjslq.options import ConstrainedOptions
 from mjslq.solvers.augmented import Augmented, scales_of, zero_multipliers
 from mjslq.solvers.auto import Auto
 from mjslq.solvers.iterate import Direction, Iterate
+from mjslq.solvers.linesearch import in_roundoff
 from mjslq.solvers.merit import Merit
 from mjslq.solvers.method import Duals, Method, Step
 from mjslq.status import Status
@@ -79,7 +80,7 @@ class Constrained(Method):
         self._inner = Auto(options)
         self._rounds = self._restarts = 0
         self._best: Best | None = None
-        self._infeasible = ""
+        self._said = ""
 
     def begin(self, start: Iterate) -> Iterate:
         """Put the losses of the first round into the cost."""
@@ -96,14 +97,17 @@ class Constrained(Method):
     def step(self, here: Iterate, direction: Direction, merit: Merit) -> Step:
         """A step on L, or the next round where this one is over."""
         self._iterations += 1
-        slope = abs(merit.slope(here, direction))
-        over = not direction.limited and slope < self._t * (self._size + abs(here.cost))
-        if over or self._iterations > ROUND:
+        slope, accepted = abs(merit.slope(here, direction)), self.accepts(here)
+        small = not direction.limited and slope < self._t * (self._size + abs(here.cost))
+        if (small and not accepted) or self._iterations > ROUND:
             self._failures = 0
             return self._next_round(here)
         step = self._inner.step(here, direction, merit)
         if step.iterate is None:
             self._failures += 1
+            if accepted and in_roundoff(slope, here.cost):
+                self._said = "The decrease that a step could bring is lost in rounding."
+                return Step(None, rollouts=step.rollouts, status=Status.CONVERGED)
             if self._failures > FAILURES:
                 return step
             return self._next_round(here, step.rollouts)
@@ -137,7 +141,7 @@ class Constrained(Method):
         if self._restarts:
             parts.append(f"{self._restarts} {'restart' if self._restarts == 1 else 'restarts'} with a smaller penalty")
         said = f"constrained: {', '.join(parts)}."
-        return f"{self._infeasible} {said}" if self._infeasible else said
+        return f"{self._said} {said}" if self._said else said
 
     def _restart(self) -> Iterate:
         """The first round from the start."""
@@ -176,7 +180,7 @@ class Constrained(Method):
             self._restarts += 1
             self._first_rho *= LIGHTER
             return Step(self._restart(), rollouts=rollouts, rejected=True)
-        self._infeasible = _verdict(here if self._best is None else self._best.iterate, self.options.tol_violation)
+        self._said = _verdict(here if self._best is None else self._best.iterate, self.options.tol_violation)
         return Step(None, rollouts=rollouts, status=Status.INFEASIBLE)
 
     def _keep(self, iterate: Iterate) -> None:
