@@ -10,7 +10,7 @@ Notation
 
 Rounds
 ------
-    1  iterate on L until |slope of the direction| < t (s + |L|), or `ROUND` iterations
+    1  iterate on L, once at least, until |slope of the direction| < t (s + |L|), or `ROUND` iterations
     2  lambda <- lambda+;  rho <- 10 rho where e has not fallen below a quarter of its last value
     3  t <- max(`LEAST_T`, min(0.3 t, 0.01 e))
 
@@ -98,7 +98,7 @@ class Constrained(Method):
         """A step on L, or the next round where this one is over."""
         self._iterations += 1
         slope, accepted = abs(merit.slope(here, direction)), self.accepts(here)
-        small = not direction.limited and slope < self._t * (self._size + abs(here.cost))
+        small = not direction.limited and slope < self._t * (self._size + abs(here.cost)) and self._iterations > 1
         if (small and not accepted) or self._iterations > ROUND:
             self._failures = 0
             return self._next_round(here)
