@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any, TextIO
 
 import numpy as np
@@ -44,6 +44,8 @@ class MethodInfo:
     """The record of its options (`mjslq.options`)."""
     takes_states: bool = False
     """Whether it takes a guess of the states."""
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+    """Stopping options that differ from those of the others."""
     takes_constraints: bool = False
     """Whether it takes constraints beside the limits of the controls."""
 
@@ -74,7 +76,8 @@ METHODS = {
     ),
     "constrained": MethodInfo(
         Constrained, "augmented Lagrangian about the sweeps of auto: for problems with constraints",
-        "first derivatives, second ones where needed", RECORDS["constrained"], takes_constraints=True,
+        "first derivatives, second ones where needed", RECORDS["constrained"], defaults={"max_iterations": 1000},
+        takes_constraints=True,
     ),
 }  # fmt: skip
 ALIASES = {"ilqr": "slq"}
@@ -133,7 +136,7 @@ def solve(
         otherwise. The two can be set apart by `tol_direction` and `tol_gradient`; 0 switches one off. The message tells
         which of them ended the solve.
     max_iterations : int
-        300 unless the problem says otherwise.
+        300, or 1000 for "constrained", unless the problem says otherwise.
     deadline : float
         Wall time after which the best iterate so far is returned, compiling not counted. [s]
     preset : str
@@ -174,7 +177,7 @@ def solve(
     chosen = METHODS[method]
     stops = {"tol": tol, "max_iterations": max_iterations, "deadline": deadline}
     asked = {name: value for name, value in stops.items() if value is not None} | options
-    settings = _settings(problem, method, preset, asked)
+    settings = dict(chosen.defaults) | _settings(problem, method, preset, asked)
     stopping = _stopping(settings)
     record = chosen.record(**settings)
     start = starts.read(problem, guess, U0, X0)

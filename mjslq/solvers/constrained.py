@@ -43,6 +43,7 @@ from mjslq.solvers.linesearch import in_roundoff
 from mjslq.solvers.merit import Merit
 from mjslq.solvers.method import Duals, Method, Step
 from mjslq.status import Status
+from mjslq.validation import Array
 
 ROUND = 60
 """Iterations of a round, at most."""
@@ -54,6 +55,8 @@ NOT_FALLING, STALLED, HEAVY = 0.9, 4, 1e4
 """What makes a problem infeasible."""
 RESTARTS, LIGHTER = 2, 0.1
 """Times that the solve starts anew, and the factor on the first rho."""
+LEAST_SHARE = 1e-3
+"""Least size of the cost, relative to that of the start."""
 FAILURES = 4
 """Rounds in a row without a step, at most."""
 
@@ -80,14 +83,18 @@ class Constrained(Method):
         self._inner = Auto(options)
         self._rounds = self._restarts = 0
         self._best: Best | None = None
+        self._augmented: Augmented | None = None
+        self._hopeless = False
         self._said = ""
 
     def begin(self, start: Iterate) -> Iterate:
         """Put the losses of the first round into the cost."""
         self._start = start
         self._scales = scales_of(start.problem, start)
-        self._size = cost_size(start)
+        self._size = cost_size(start, self._scales)
         self._first_rho = self.options.penalty * self._size
+        self._said = _fixed(start, self.options.tol_violation)
+        self._hopeless = bool(self._said)
         return self._restart()
 
     def direction(self, here: Iterate) -> Direction:
@@ -96,6 +103,8 @@ class Constrained(Method):
 
     def step(self, here: Iterate, direction: Direction, merit: Merit) -> Step:
         """A step on L, or the next round where this one is over."""
+        if self._hopeless:
+            return Step(None, status=Status.INFEASIBLE)
         self._iterations += 1
         slope, accepted = abs(merit.slope(here, direction)), self.accepts(here)
         small = not direction.limited and slope < self._t * (self._size + abs(here.cost)) and self._iterations > 1
@@ -117,31 +126,37 @@ class Constrained(Method):
 
     def accepts(self, here: Iterate) -> bool:
         """Whether constraints are met and multipliers belong to limits that are touched."""
-        tol, augmented = self.options.tol_violation, self._augmented
+        tol, augmented = self.options.tol_violation, self._round
         met = augmented.problem.violation(here.trajectory) <= tol
         return met and augmented.complementarity(here.trajectory) <= tol
 
     def best(self, last: Iterate, status: Status) -> Iterate:
         """The last iterate where the solve converged, or the best one."""
-        self._final = self._augmented
         if status is Status.CONVERGED or self._best is None:
             return last
-        self._augmented = self._final = self._best.augmented
+        self._augmented = self._best.augmented
         return self._best.iterate
 
     def duals(self, here: Iterate) -> Duals:
         """Multipliers lambda+ and violations at `here`."""
         augmented = self._augmented
+        if augmented is None:  # it failed before it began
+            return Duals()
         named = zip(augmented.constraints, augmented.next_multipliers(here.trajectory), strict=True)
         return Duals({constraint.name: multipliers for constraint, multipliers in named})
 
     def remark(self) -> str:
         """How the rounds went."""
-        parts = [f"{self._rounds} rounds"]
+        parts = [f"{self._rounds} {'round' if self._rounds == 1 else 'rounds'}"]
         if self._restarts:
             parts.append(f"{self._restarts} {'restart' if self._restarts == 1 else 'restarts'} with a smaller penalty")
         said = f"constrained: {', '.join(parts)}."
         return f"{self._said} {said}" if self._said else said
+
+    @property
+    def _round(self) -> Augmented:
+        assert self._augmented is not None
+        return self._augmented
 
     def _restart(self) -> Iterate:
         """The first round from the start."""
@@ -152,13 +167,13 @@ class Constrained(Method):
         self._iterations = self._failures = 0
         self._rounds += 1
         self._inner = Auto(self.options)
-        here = self._augmented.about(self._start)
+        here = self._round.about(self._start)
         self._keep(here)
         return here
 
     def _next_round(self, here: Iterate, rollouts: int = 0) -> Step:
         """Rules 2 and 3 at the head of this file, or the end."""
-        e, rho = self._augmented.complementarity(here.trajectory), self._augmented.rho
+        e, rho = self._round.complementarity(here.trajectory), self._round.rho
         tol = self.options.tol_violation
         self._stalled = self._stalled + 1 if e > max(NOT_FALLING * self._least, tol) else 0
         if self._stalled >= STALLED and rho >= HEAVY * self._size:
@@ -168,7 +183,7 @@ class Constrained(Method):
             rho = min(GROW * rho, LARGEST * self._size)
         self._last = e
         self._t = max(LEAST_T, min(TIGHTEN * self._t, OF_COMPLEMENTARITY * e))
-        self._augmented = self._augmented.updated(here.trajectory, rho)
+        self._augmented = self._round.updated(here.trajectory, rho)
         self._iterations, self._rounds = 0, self._rounds + 1
         there = self._augmented.about(here)
         self._keep(there)
@@ -187,14 +202,42 @@ class Constrained(Method):
         """Remember the iterate if it is the best so far."""
         problem = iterate.problem.unpenalized
         violation = max(problem.violation(iterate.trajectory), self.options.tol_violation)
-        found = Best(violation, problem.cost(iterate.trajectory), iterate, self._augmented)
+        found = Best(violation, problem.cost(iterate.trajectory), iterate, self._round)
         if self._best is None or found.rank <= self._best.rank:
             self._best = found
 
 
-def cost_size(start: Iterate) -> float:
-    """s: the size of the cost."""
-    return 1.0
+def cost_size(start: Iterate, scales: tuple[Array, ...]) -> float:
+    """s: what a step towards the constraints costs, at most the cost of the start; that, where they are met.
+
+    The step is the one of steepest descent, in the metric of the control weights, of half the squared violations. Too
+    small a size takes a few rounds more, too large a one may end at the wrong side of an obstacle.
+    """
+    problem = start.problem
+    penalized = Augmented.of(problem, zero_multipliers(problem), scales, 1.0).about(start)
+    cost, both = start.gauss_newton, penalized.gauss_newton
+    slope = penalized.gradient - start.gradient
+    weights = np.einsum("nii->ni", cost.R)
+    U = -slope / np.maximum(weights, 1e-6 * weights.max(initial=0.0) + 1e-300)
+    X = cost.states(U)
+    own = cost.value(X, U) - float(np.vdot(cost.q, X) + np.vdot(cost.r, U))
+    violations = both.value(X, U) - float(np.vdot(both.q, X) + np.vdot(both.r, U)) - own
+    length = -0.5 * float(np.vdot(slope, U)) / violations if violations > 0.0 else 0.0
+    price, at_start = length * length * own, abs(start.cost)
+    if not 0.0 < price < np.inf:
+        return at_start or 1.0
+    return min(max(price, LEAST_SHARE * at_start), at_start or np.inf)
+
+
+def _fixed(start: Iterate, tol: float) -> str:
+    """Which constraints the initial state violates where no control enters them: nothing can be done about these."""
+    for constraint in start.problem.unpenalized.bound_constraints:
+        if constraint.seen_at[0] > 0 or constraint.residual.jacobian(start.trajectory, start.linearization).u is not None:
+            continue
+        violation = float(constraint.violation(start.trajectory)[0])
+        if violation > tol:
+            return f"The initial state itself violates {constraint.name!r}, by {violation:.3g}."
+    return ""
 
 
 def _verdict(here: Iterate, tol: float) -> str:
