@@ -10,8 +10,10 @@ Notation
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mjslq.dynamics.dynamics import Dynamics, Linearization
 from mjslq.knots import Knots
@@ -35,9 +37,9 @@ class BoundConstraint:
     """inf where there is none. Shape (k, m)."""
 
     @property
-    def seen_at(self) -> Array:
+    def seen_at(self) -> NDArray[np.int64]:
         """Knots whose states the k residuals are about: one later for w(x_{n+1}, u_n). Shape (k,)."""
-        indices: Array = self.residual.knots.indices
+        indices = self.residual.knots.indices
         return indices + 1 if isinstance(self.residual, EndResidual) else indices
 
     def violation(self, trajectory: Trajectory) -> Array:
@@ -60,7 +62,7 @@ class BoundConstraint:
 class EntriesResidual(BoundResidual):
     """Some entries of the state as they are, x_n[columns]."""
 
-    def __init__(self, dynamics: Dynamics, columns: Array, knots: Knots) -> None:
+    def __init__(self, dynamics: Dynamics, columns: NDArray[Any], knots: Knots) -> None:
         self.knots, self.size, self._dynamics, self._columns = knots, len(columns), dynamics, columns
         if dynamics.nx == dynamics.ndx:
             J = np.zeros((len(knots), self.size, dynamics.nx))

@@ -45,7 +45,7 @@ class Bounds:
     def bind_states(self, dynamics: Dynamics, N: int, taken: Sequence[str]) -> BoundConstraint:
         """The limits of the states as a constraint called "bounds". Raises ValueError."""
         try:
-            lower, upper = () if self.x is None else self.x
+            lower, upper = (None, None) if self.x is None else self.x
         except (TypeError, ValueError):
             raise ValueError(f"bounds: x must be None or a pair (lower, upper), got {self.x!r}") from None
         if STATES in taken:

@@ -151,7 +151,8 @@ class Path(Constraint):
         """See `Constraint.bind`."""
         function = UserFunction("w", self.w, dynamics.nx, dynamics.nu, self.jacobian, self.parameters)
         steps = dynamics.steps(N)
-        knots, residual = knots_of(self.when, steps), None
+        knots = knots_of(self.when, steps)
+        residual: residuals.BoundResidual
         if choose("at", self.at, ("start", "end")) == "end":
             if len(knots.steps) < len(knots):
                 raise ValueError(f'when must name steps with at="end", 0 to {N - 1}: no step begins at knot {N}')

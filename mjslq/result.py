@@ -30,8 +30,8 @@ class Result:
     iterations: int
     """Steps taken; trials that were rejected do not count."""
     gradient_norm: float
-    """Euclidean norm of the projected gradient dJ/dU at `trajectory`: without the entries that push against limits. With
-    constraints that of the Lagrangian."""
+    """Euclidean norm of the projected gradient dJ/dU at `trajectory`: without the entries that push against limits.
+    With constraints, the one of the Lagrangian."""
     trajectory: Trajectory
     """The best iterate."""
     gains: Array | None

@@ -42,8 +42,8 @@ _MESSAGES = {
     Status.FAILED: "An error ended the solve; this is the best iterate so far.",
     Status.INTERRUPTED: "Interrupted; this is the best iterate so far.",
     Status.INFEASIBLE: (
-        "The constraints cannot be met from here: this is a stationary point of their violation, beside which there may "
-        "be others. Start elsewhere (guess=), lengthen the horizon, or relax the constraint."
+        "The constraints cannot be met from here: this is a stationary point of their violation, beside which there "
+        "may be others. Start elsewhere (guess=), lengthen the horizon, or relax the constraint."
     ),
     Status.STOPPED: "The callback asked to stop; this is the best iterate so far.",
 }

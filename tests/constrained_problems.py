@@ -37,9 +37,10 @@ def _double_integrator(x, u):
 def bryson_denham(N=50, limit=0.1, force=np.inf):
     """A particle thrown at a wall that it must not pass `limit` of, back where it came from after a second."""
     dynamics = FunctionDynamics(_double_integrator, 2, 1, 1.0 / N, control_limits=(-force, force))
+    goal = [0.0, -1.0]
     return Problem(
         dynamics, N, [0.0, 1.0], [Control(1.0)],
-        constraints=[State(None, [limit, np.inf], name="wall"), State([0.0, -1.0], [0.0, -1.0], "terminal", name="goal")],
+        constraints=[State(None, [limit, np.inf], name="wall"), State(goal, goal, "terminal", name="goal")],
     )  # fmt: skip
 
 

@@ -12,8 +12,8 @@ Notation
     curvature   rho where lambda+ is not zero, else 0
 
 For r <= 0 this is max(0, lambda + rho r)^2 / (2 rho) - lambda^2 / (2 rho), for an equality lambda r + rho r^2 / 2. A
-point is a solution where the cost and these losses have zero gradient and r = z, which says at once that the interval is
-kept and that a multiplier belongs to a limit that is touched.
+point is a solution where the cost and these losses have zero gradient and r = z, which says at once that the interval
+is kept and that a multiplier belongs to a limit that is touched.
 
 Source: Powell 1969, Hestenes 1969, Rockafellar 1973; Nocedal and Wright, Numerical Optimization, section 17.4.
 """
@@ -58,7 +58,7 @@ class IntervalLoss(Loss):
         return LossCurvature(np.ones(k), W, None)
 
     def distance(self, r: Array) -> Array:
-        """r - z: zero where the interval is kept and multipliers belong to limits that are touched. Shape (k, m)."""
+        """R - z: zero where the interval is kept and multipliers belong to limits that are touched. Shape (k, m)."""
         shifted = r + self._offset
         return r - np.clip(shifted, self._lower, self._upper)
 

@@ -15,8 +15,9 @@ Rounds
     3  t <- max(`LEAST_T`, min(0.3 t, 0.01 e))
 
 from rho = 0.1 s and t = 0.01. Low weights first: where obstacles are in the way, a start that lies beyond one of them
-can still be pushed to either side. The solve ends when all constraints are met within `tol_violation`, e is as small, and
-L has no slope left by the tests that all methods share: at such a point the gradient of L is the one of the Lagrangian.
+can still be pushed to either side. The solve ends when all constraints are met within `tol_violation`, e is as small,
+and L has no slope left by the tests that all methods share: at such a point the gradient of L is the one of the
+Lagrangian. Where the constraints are met, rounds end no more.
 
 Infeasible: e above 0.9 of its least value in `STALLED` rounds, and rho at least 1e4 s. Then the solve starts anew from
 its start with a tenth of the first rho, twice at most, and then says so. This is a local verdict: the iterate is a
@@ -81,7 +82,7 @@ class Constrained(Method):
     def __init__(self, options: ConstrainedOptions) -> None:
         self.options = options
         self._inner = Auto(options)
-        self._rounds = self._restarts = 0
+        self._rounds = self._restarts = self._iterations = self._failures = self._stalled = 0
         self._best: Best | None = None
         self._augmented: Augmented | None = None
         self._hopeless = False
@@ -164,7 +165,7 @@ class Constrained(Method):
             self._start.problem, zero_multipliers(self._start.problem), self._scales, self._first_rho
         )
         self._t, self._last, self._least, self._stalled = FIRST_T, np.inf, np.inf, 0
-        self._iterations = self._failures = 0
+        self._iterations = self._failures = 0  # of this round; rounds in a row without a step
         self._rounds += 1
         self._inner = Auto(self.options)
         here = self._round.about(self._start)
@@ -232,7 +233,10 @@ def cost_size(start: Iterate, scales: tuple[Array, ...]) -> float:
 def _fixed(start: Iterate, tol: float) -> str:
     """Which constraints the initial state violates where no control enters them: nothing can be done about these."""
     for constraint in start.problem.unpenalized.bound_constraints:
-        if constraint.seen_at[0] > 0 or constraint.residual.jacobian(start.trajectory, start.linearization).u is not None:
+        if (
+            constraint.seen_at[0] > 0
+            or constraint.residual.jacobian(start.trajectory, start.linearization).u is not None
+        ):
             continue
         violation = float(constraint.violation(start.trajectory)[0])
         if violation > tol:

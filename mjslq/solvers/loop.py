@@ -176,7 +176,11 @@ def _finish(outcome: Outcome, method: Method) -> None:
         if outcome.iterate.ends is not None:
             outcome.remark += " The gaps between the steps are not closed."
         return
-    if moved or outcome.status in (Status.INTERRUPTED, Status.STOPPED, Status.FAILED):  # the gains are those of the one before
+    if moved or outcome.status in (
+        Status.INTERRUPTED,
+        Status.STOPPED,
+        Status.FAILED,
+    ):  # the gains are those of the one before
         try:
             outcome.gains = method.direction(outcome.iterate).K
         except Exception as error:  # as above; the gains of the iterate before serve
