@@ -256,19 +256,18 @@ def _result(
 ) -> Result:
     dynamics, iterate, box = problem.dynamics, outcome.iterate, problem.box
     limits = {} if outcome.multipliers is None else {"controls": outcome.multipliers}
-    constrained = bool(problem.bound_constraints)
     return Result(
         status=outcome.status,
         message=" ".join(part for part in (outcome.status.message, *remarks) if part),
-        cost=problem.cost(iterate.trajectory) if constrained else iterate.cost,
+        cost=iterate.cost if iterate.problem.unpenalized is iterate.problem else problem.cost(iterate.trajectory),
         iterations=sum(entry.outcome == "accepted" for entry in monitor.log),
         gradient_norm=outcome.gradient_norm,
         trajectory=iterate.trajectory,
         gains=outcome.gains,
         lower=box.lower,
         upper=box.upper,
-        constraint_violation=problem.violation(iterate.trajectory) if constrained else 0.0,
-        violations=problem.violations(iterate.trajectory) if constrained else {},
+        constraint_violation=outcome.duals.violation,
+        violations=outcome.duals.violations,
         multipliers=limits | outcome.duals.multipliers,
         log=tuple(monitor.log),
         iterates=tuple(monitor.iterates),

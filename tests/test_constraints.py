@@ -16,8 +16,8 @@ from mjslq.solvers.augmented import IntervalLoss
 N, H = 5, 0.05
 CRAFT = """
 <mujoco><option timestep="0.05"/><worldbody><body pos="0 0 1"><freejoint/><geom type="box" size=".1 .2 .05" mass="1"/>
-<site name="middle"/><body pos=".2 0 0"><joint name="hinge" axis="0 1 0"/>
-<geom name="arm" type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".3"/><site name="tip" pos=".3 0 0"/></body></body>
+<site name="middle"/><body pos=".2 0 0"><joint name="hinge" axis="0 1 0"/><site name="tip" pos=".3 0 0"/>
+<geom name="arm" type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".3"/></body></body>
 <geom name="post" type="sphere" size=".1" pos="1 0 1" contype="0" conaffinity="0"/></worldbody>
 <actuator><motor joint="hinge"/><motor site="middle" gear="0 0 1 .2 .5 .2"/></actuator>
 <sensor><framepos name="tip" objtype="site" objname="tip"/><framequat name="attitude" objtype="site" objname="tip"/>

@@ -20,8 +20,9 @@ and L has no slope left by the tests that all methods share: at such a point the
 Lagrangian. Where the constraints are met, rounds end no more.
 
 Infeasible: e above 0.9 of its least value in `STALLED` rounds, and rho at least 1e4 s. Then the solve starts anew from
-its start with a tenth of the first rho, twice at most, and then says so. This is a local verdict: the iterate is a
-stationary point of the violation, and there may be another way.
+its start, twice at most, and then says so. It starts with a tenth of the first rho, or, from a start that meets the
+constraints, with a hundred times as much: there the first round went astray, such as through a wall. This is a local
+verdict: the iterate is a stationary point of the violation, and there may be another way.
 
 Each constraint's entry is scaled by the largest gradient that it has along the start. Limits of the controls are no
 part of this: the sweeps keep to them exactly.
@@ -54,8 +55,8 @@ ENOUGH, GROW, LARGEST = 0.25, 10.0, 1e9
 """Share of the complementarity that a round may leave; growth and largest value of rho / s."""
 NOT_FALLING, STALLED, HEAVY = 0.9, 4, 1e4
 """What makes a problem infeasible."""
-RESTARTS, LIGHTER = 2, 0.1
-"""Times that the solve starts anew, and the factor on the first rho."""
+RESTARTS, LIGHTER, HEAVIER = 2, 0.1, 100.0
+"""Times that the solve starts anew, and the factors on the first rho."""
 LEAST_SHARE = 1e-3
 """Least size of the cost, relative to that of the start."""
 FAILURES = 4
@@ -67,13 +68,15 @@ class Best(NamedTuple):
 
     violation: float
     cost: float
+    violations: dict[str, Array]
     iterate: Iterate
     augmented: Augmented
+    tol: float
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Less is better."""
-        return self.violation, self.cost
+        """Less is better; all that meets the constraints is as good."""
+        return max(self.violation, self.tol), self.cost
 
 
 class Constrained(Method):
@@ -94,6 +97,7 @@ class Constrained(Method):
         self._scales = scales_of(start.problem, start)
         self._size = cost_size(start, self._scales)
         self._first_rho = self.options.penalty * self._size
+        self._start_is_met = start.problem.violation(start.trajectory) <= self.options.tol_violation
         self._said = _fixed(start, self.options.tol_violation)
         self._hopeless = bool(self._said)
         return self._restart()
@@ -140,17 +144,19 @@ class Constrained(Method):
 
     def duals(self, here: Iterate) -> Duals:
         """Multipliers lambda+ and violations at `here`."""
-        augmented = self._augmented
-        if augmented is None:  # it failed before it began
+        if self._best is None:  # it failed before it began
             return Duals()
-        named = zip(augmented.constraints, augmented.next_multipliers(here.trajectory), strict=True)
-        return Duals({constraint.name: multipliers for constraint, multipliers in named})
+        best = self._best if self._best.iterate is here else self._seen(here)
+        named = zip(best.augmented.constraints, best.augmented.next_multipliers(here.trajectory), strict=True)
+        multipliers = {constraint.name: multiplier for constraint, multiplier in named}
+        return Duals(multipliers, best.violations, best.violation)
 
     def remark(self) -> str:
         """How the rounds went."""
         parts = [f"{self._rounds} {'round' if self._rounds == 1 else 'rounds'}"]
         if self._restarts:
-            parts.append(f"{self._restarts} {'restart' if self._restarts == 1 else 'restarts'} with a smaller penalty")
+            how = f"with a {'larger' if self._start_is_met else 'smaller'} penalty"
+            parts.append(f"{self._restarts} {'restart' if self._restarts == 1 else 'restarts'} {how}")
         said = f"constrained: {', '.join(parts)}."
         return f"{self._said} {said}" if self._said else said
 
@@ -194,18 +200,28 @@ class Constrained(Method):
         """Start anew with a smaller penalty, or call the problem infeasible."""
         if self._restarts < RESTARTS:
             self._restarts += 1
-            self._first_rho *= LIGHTER
+            self._first_rho *= HEAVIER if self._start_is_met else LIGHTER
             return Step(self._restart(), rollouts=rollouts, rejected=True)
-        self._said = _verdict(here if self._best is None else self._best.iterate, self.options.tol_violation)
-        return Step(None, rollouts=rollouts, status=Status.INFEASIBLE)
+        best = here if self._best is None else self._best.iterate
+        self._said = _verdict(best, self.options.tol_violation)
+        if self._said:
+            return Step(None, rollouts=rollouts, status=Status.INFEASIBLE)
+        self._said = "The constraints are met, but a point of least cost that meets them was not found."
+        return Step(None, rollouts=rollouts)
 
     def _keep(self, iterate: Iterate) -> None:
         """Remember the iterate if it is the best so far."""
-        problem = iterate.problem.unpenalized
-        violation = max(problem.violation(iterate.trajectory), self.options.tol_violation)
-        found = Best(violation, problem.cost(iterate.trajectory), iterate, self._round)
+        found = self._seen(iterate)
         if self._best is None or found.rank <= self._best.rank:
             self._best = found
+
+    def _seen(self, iterate: Iterate) -> Best:
+        """What an iterate of this round is worth."""
+        problem, trajectory = iterate.problem.unpenalized, iterate.trajectory
+        violations = problem.violations(trajectory)
+        worst = max((float(violation.max()) for violation in violations.values()), default=0.0)
+        tol = self.options.tol_violation
+        return Best(worst, problem.cost(trajectory), violations, iterate, self._round, tol)
 
 
 def cost_size(start: Iterate, scales: tuple[Array, ...]) -> float:

@@ -31,10 +31,14 @@ class Step:
 
 @dataclass(frozen=True)
 class Duals:
-    """What belongs to constraints at an iterate."""
+    """What belongs to constraints at an iterate, by the constraint's name."""
 
     multipliers: dict[str, Array] = field(default_factory=dict)
-    """By the constraint's name. Shape (k, m)."""
+    """Shape (k, m)."""
+    violations: dict[str, Array] = field(default_factory=dict)
+    """Shape (N + 1,)."""
+    violation: float = 0.0
+    """The largest of all."""
 
 
 class Method(ABC):
@@ -64,7 +68,7 @@ class Method(ABC):
         return last
 
     def duals(self, here: Iterate) -> Duals:
-        """Multipliers of the constraints at the iterate that is returned."""
+        """Multipliers and violations at the iterate that is returned."""
         return Duals()
 
     def remark(self) -> str:
