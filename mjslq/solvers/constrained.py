@@ -112,14 +112,15 @@ class Constrained(Method):
             return Step(None, status=Status.INFEASIBLE)
         self._iterations += 1
         slope, accepted = abs(merit.slope(here, direction)), self.accepts(here)
-        small = not direction.limited and slope < self._t * (self._size + abs(here.cost)) and self._iterations > 1
-        if (small and not accepted) or self._iterations > ROUND:
+        small = not direction.limited and slope < self._t * (self._size + abs(here.cost))
+        if (small and not accepted and self._iterations > 1) or self._iterations > ROUND:
             self._failures = 0
             return self._next_round(here)
         step = self._inner.step(here, direction, merit)
         if step.iterate is None:
-            self._failures += 1
-            if accepted and in_roundoff(slope, here.cost):
+            lost = in_roundoff(slope, here.cost)
+            self._failures = 0 if small or lost else self._failures + 1
+            if accepted and lost:
                 self._said = "The decrease that a step could bring is lost in rounding."
                 return Step(None, rollouts=step.rollouts, status=Status.CONVERGED)
             if self._failures > FAILURES:
