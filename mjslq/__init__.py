@@ -15,6 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from mjslq import constraints as constraints
     from mjslq import costs as costs
     from mjslq import lq as lq
     from mjslq import problems as problems
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 _HOME = {
+    "constraints": "mjslq.constraints",
     "costs": "mjslq.costs",
     "lq": "mjslq.lq",
     "problems": "mjslq.problems",
@@ -69,7 +71,7 @@ _HOME = {
     "view": "mjslq.viewer",
 }
 
-_MODULES = ("costs", "lq", "problems", "starts")
+_MODULES = ("constraints", "costs", "lq", "problems", "starts")
 """Names that are modules themselves."""
 
 __all__ = ["__version__", *_HOME]

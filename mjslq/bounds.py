@@ -1,26 +1,33 @@
 """`Bounds`: limits that an optimizer keeps to at every step.
 
     lower_n <= u_n <= upper_n,   n = 0 ... N - 1
+    lower_n <= x_n <= upper_n,   n = 0 ... N
 
-Controls of a result never leave them, to the last bit.
+Controls of a result never leave them, to the last bit; limits of states are a constraint like others.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mjslq import constraints
+from mjslq.bound_constraints import BoundConstraint
 from mjslq.dynamics.dynamics import Dynamics
 from mjslq.lq.box import Box
 from mjslq.validation import Array
 
+STATES = "bounds"
+"""What results call the limits of the states."""
+
 
 @dataclass(frozen=True)
 class Bounds:
-    """Limits of the controls.
+    """Limits of controls and states.
 
     Raises ValueError when a problem is made with them, for shapes that do not belong to its controls and for limits
     that leave nothing between them; the message names the control.
@@ -30,6 +37,23 @@ class Bounds:
     """"model" for the engine's own limits (`Dynamics.control_limits`), None for none, or (lower, upper): numbers, one
     a control or one a step and control, -inf and inf where there is no limit. Shape () | (nu,) | (N, nu). A MuJoCo
     model clamps its controls at ctrlrange all the same: beyond it a control has the effect of the limit."""
+
+    x: tuple[ArrayLike | None, ArrayLike | None] | None = None
+    """(lower, upper) of the states at all knots: numbers, one an entry or one a knot and entry, -inf and inf where
+    there is no limit; None for none. Shape () | (nx,) | (N + 1, nx)."""
+
+    def bind_states(self, dynamics: Dynamics, N: int, taken: Sequence[str]) -> BoundConstraint:
+        """The limits of the states as a constraint called "bounds". Raises ValueError."""
+        try:
+            lower, upper = (None, None) if self.x is None else self.x
+        except (TypeError, ValueError):
+            raise ValueError(f"bounds: x must be None or a pair (lower, upper), got {self.x!r}") from None
+        if STATES in taken:
+            raise ValueError(f"bounds: the constraint of the states is called {STATES!r}; give the other another name")
+        try:
+            return constraints.State(lower, upper).bind(dynamics, N, STATES)
+        except ValueError as error:
+            raise ValueError(f"bounds: x: {error}") from None
 
     def bind(self, dynamics: Dynamics, N: int) -> Box:
         """Spread the limits over N steps of `dynamics`. Raises ValueError, see the class."""

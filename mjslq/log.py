@@ -44,3 +44,5 @@ class IterationLog:
     """Largest gap between a step's end and the next state of a state guess; 0 for rollouts."""
     limited: int = 0
     """Controls that a limit holds, over all steps."""
+    violation: float = 0.0
+    """Largest violation of a constraint; 0 without constraints."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any, TextIO
 
 import numpy as np
@@ -17,6 +17,7 @@ from mjslq.options import COMMON, RECORDS, Stopping, check_tolerance, names
 from mjslq.problem import Problem
 from mjslq.result import Result
 from mjslq.solvers.auto import Auto
+from mjslq.solvers.constrained import Constrained
 from mjslq.solvers.gradient import Gradient
 from mjslq.solvers.interrupts import Interrupts
 from mjslq.solvers.iterate import Iterate
@@ -43,6 +44,10 @@ class MethodInfo:
     """The record of its options (`mjslq.options`)."""
     takes_states: bool = False
     """Whether it takes a guess of the states."""
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+    """Stopping options that differ from those of the others."""
+    takes_constraints: bool = False
+    """Whether it takes constraints beside the limits of the controls."""
 
     @property
     def options(self) -> dict[str, Any]:
@@ -69,9 +74,16 @@ METHODS = {
     "gradient": MethodInfo(
         Gradient, "steepest descent with exact line search", "first derivatives", RECORDS["gradient"]
     ),
+    "constrained": MethodInfo(
+        Constrained, "augmented Lagrangian about the sweeps of auto: for problems with constraints",
+        "first derivatives, second ones where needed", RECORDS["constrained"], defaults={"max_iterations": 1000},
+        takes_constraints=True,
+    ),
 }  # fmt: skip
 ALIASES = {"ilqr": "slq"}
 """Other names that the field has for a method."""
+CONSTRAINED = "constrained"
+"""What "auto" stands for where there are constraints."""
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "slq": {
         "sideris-bobrow": {"step": "open-loop", "acceleration": False, "rescue": False, "multiplier": None},
@@ -124,7 +136,7 @@ def solve(
         otherwise. The two can be set apart by `tol_direction` and `tol_gradient`; 0 switches one off. The message tells
         which of them ended the solve.
     max_iterations : int
-        300 unless the problem says otherwise.
+        300, or 1000 for "constrained", unless the problem says otherwise.
     deadline : float
         Wall time after which the best iterate so far is returned, compiling not counted. [s]
     preset : str
@@ -159,10 +171,15 @@ def solve(
         raise ValueError("this model has no controls, so there is nothing to optimize; give it actuators")
     method = choose("method", method, [*METHODS, *ALIASES])
     method = ALIASES.get(method, method)
+    routed = ""
+    if problem.bound_constraints:
+        if method == "auto":
+            method, routed = CONSTRAINED, f"auto: {CONSTRAINED!r}, since the problem has constraints."
+        _refuse_constraints(problem, method)
     chosen = METHODS[method]
     stops = {"tol": tol, "max_iterations": max_iterations, "deadline": deadline}
     asked = {name: value for name, value in stops.items() if value is not None} | options
-    settings = _settings(problem, method, preset, asked)
+    settings = dict(chosen.defaults) | _settings(problem, method, preset, asked)
     stopping = _stopping(settings)
     record = chosen.record(**settings)
     start = starts.read(problem, guess, U0, X0)
@@ -178,7 +195,7 @@ def solve(
         else:
             here = Iterate.guess(problem, start.X, start.U)
         outcome = descend(here, chosen.make(record), stopping, monitor, interrupts)
-        remarks = [start.remark, outcome.remark]
+        remarks = [start.remark, routed, outcome.remark]
         result = _result(outcome, monitor, problem, method, asdict(stopping) | asdict(record), remarks)
     if verbose:
         print(f"{result.status.value}: {result.message}", file=monitor.stream)
@@ -216,6 +233,15 @@ def _stopping(settings: dict[str, Any]) -> Stopping:
     return Stopping(**given)
 
 
+def _refuse_constraints(problem: Problem, method: str) -> None:
+    if not METHODS[method].takes_constraints:
+        names = ", ".join(repr(constraint.name) for constraint in problem.bound_constraints)
+        takers = [name for name, entry in METHODS.items() if entry.takes_constraints]
+        raise ValueError(
+            f"method {method!r} takes no constraints, but the problem has {names}; these do: auto, {', '.join(takers)}"
+        )
+
+
 def _refuse_wrong_derivatives(problem: Problem, U: Any) -> None:
     trajectory = problem.dynamics.rollout(problem.x0, U)
     if trajectory.diverged:
@@ -235,17 +261,20 @@ def _result(
     outcome: Outcome, monitor: Monitor, problem: Problem, method: str, options: dict[str, Any], remarks: list[str]
 ) -> Result:
     dynamics, iterate, box = problem.dynamics, outcome.iterate, problem.box
+    limits = {} if outcome.multipliers is None else {"controls": outcome.multipliers}
     return Result(
         status=outcome.status,
         message=" ".join(part for part in (outcome.status.message, *remarks) if part),
-        cost=iterate.cost,
+        cost=iterate.cost if iterate.problem.unpenalized is iterate.problem else problem.cost(iterate.trajectory),
         iterations=monitor.steps,
         gradient_norm=outcome.gradient_norm,
         trajectory=iterate.trajectory,
         gains=outcome.gains,
         lower=box.lower,
         upper=box.upper,
-        multipliers={} if outcome.multipliers is None else {"controls": outcome.multipliers},
+        constraint_violation=outcome.duals.violation,
+        violations=outcome.duals.violations,
+        multipliers=limits | outcome.duals.multipliers,
         log=tuple(monitor.log),
         iterates=tuple(monitor.iterates),
         seconds=monitor.seconds,

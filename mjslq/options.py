@@ -76,6 +76,22 @@ class AutoOptions:
 
 
 @dataclass(frozen=True)
+class ConstrainedOptions(AutoOptions):
+    """Options of `constrained`, beside those of `auto`, whose sweeps it uses."""
+
+    tol_violation: float = 1e-6
+    """Largest violation of a constraint, in its own unit."""
+    penalty: float = 0.1
+    """The first penalty weight, relative to the size of the cost. Small ones leave room to pass an obstacle on the
+    other side, large ones keep near the start."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        positive("tol_violation", self.tol_violation)
+        positive("penalty", self.penalty)
+
+
+@dataclass(frozen=True)
 class SLQOptions(Search):
     """Options of `slq`."""
 
@@ -144,6 +160,7 @@ RECORDS: dict[str, type[Any]] = {
     "newton": NewtonOptions,
     "trust-region": TrustRegionOptions,
     "gradient": GradientOptions,
+    "constrained": ConstrainedOptions,
 }
 """The record of each method."""
 COMMON = ("tol", *(field.name for field in fields(Stopping)))

@@ -2,7 +2,8 @@
 
     minimize   J(U) = sum_n l_n(x_n, u_n)   subject to   x_{n+1} = f_n(x_n, u_n),  x_0 given,  u within limits
 
-(Sideris and Bobrow 2005, (1)-(2)). The controls U are the unknowns; the states follow by rollout.
+(Sideris and Bobrow 2005, (1)-(2)), and to constraints lower <= r(x_n, u_n, t_n) <= upper. The controls U are the
+unknowns; the states follow by rollout.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mjslq import constraints as kinds
+from mjslq.bound_constraints import BoundConstraint
 from mjslq.bounds import Bounds
 from mjslq.costs import BoundTerm, CostTerm, Expansion
 from mjslq.dynamics.dynamics import Dynamics, Linearization
@@ -43,8 +46,11 @@ class Problem:
     """Initial state. Shape (nx,)."""
     costs: Sequence[CostTerm]
     """Terms of the cost, added up."""
+    constraints: Sequence[kinds.Constraint] = field(default=(), kw_only=True)
+    """What the trajectory has to obey; see `mjslq.constraints`. Methods that take none refuse the problem."""
     bounds: Bounds | None = None
-    """Limits of the controls; the engine's own (`Bounds()`) unless given. `Bounds(u=None)` lifts them."""
+    """Limits of the controls; the engine's own (`Bounds()`) unless given. `Bounds(u=None)` lifts them. Limits of the
+    states, `Bounds(x=...)`, become the constraint "bounds"."""
     name: str = "problem"
     """For titles and messages."""
     U0: ArrayLike | None = None
@@ -60,7 +66,10 @@ class Problem:
     """What a viewer draws; the engine's own scene unless given."""
     box: Box = field(init=False, repr=False)
     """Limits of the controls at each step, -inf and inf where there are none. Arrays of shape (N, nu)."""
+    bound_constraints: tuple[BoundConstraint, ...] = field(init=False, repr=False, default=())
+    """The constraints on this horizon, but for those of the controls alone, which `box` has."""
     _terms: tuple[BoundTerm, ...] = field(init=False, repr=False, default=())
+    _unpenalized: Problem | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
         if not isinstance(self.dynamics, Dynamics):
@@ -76,6 +85,7 @@ class Problem:
         if not isinstance(bounds, Bounds):
             raise ValueError(f"bounds must be mjslq.Bounds, got {type(bounds).__name__}")
         store(self, "box", bounds.bind(dynamics, N))
+        self._bind_constraints(bounds, N)
         store(self, "U0", frozen(self.box.clip(np.broadcast_to(U0, (N, dynamics.nu)))))
         check_options(self.options)
         if not isinstance(self.costs, (CostTerm, Sequence)):
@@ -97,6 +107,17 @@ class Problem:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(refrozen(state))
 
+    def _bind_constraints(self, bounds: Bounds, N: int) -> None:
+        """Fit the constraints to the horizon; those of controls alone make the box smaller."""
+        given, store = self.constraints, object.__setattr__
+        bound, boxes = kinds.bind_all(given, self.dynamics, N)
+        if bounds.x is not None:
+            bound = (*bound, bounds.bind_states(self.dynamics, N, [constraint.name for constraint in bound]))
+        store(self, "constraints", (given,) if isinstance(given, kinds.Constraint) else tuple(given))
+        store(self, "bound_constraints", bound)
+        for box in boxes:
+            store(self, "box", self.box.within(box, self.dynamics.control_names))
+
     def at(self, x0: ArrayLike, t0: float = 0.0) -> Problem:
         """The same problem from another initial state (nx,), its costs' time shifted by `t0` [s].
 
@@ -107,6 +128,8 @@ class Problem:
         object.__setattr__(moved, "x0", frozen(np.array(self.dynamics.checked_start(x0))))
         if t0:
             object.__setattr__(moved, "_terms", tuple(term.at(finite("t0", t0)) for term in self._terms))
+            shifted = tuple(constraint.at(t0) for constraint in self.bound_constraints)
+            object.__setattr__(moved, "bound_constraints", shifted)
         return moved
 
     def rollout(self, U: ArrayLike) -> Trajectory:
@@ -114,8 +137,29 @@ class Problem:
         return self.dynamics.rollout(self.x0, self.checked_controls(U))
 
     def violation(self, trajectory: Trajectory) -> float:
-        """Largest distance of a control from its limits; 0 when all are within."""
-        return float(np.abs(trajectory.U - self.box.clip(trajectory.U)).max(initial=0.0))
+        """Largest violation of a constraint or of a control's limits; 0 when all are met, infinite if diverged."""
+        if trajectory.diverged:
+            return math.inf
+        controls = float(np.abs(trajectory.U - self.box.clip(trajectory.U)).max(initial=0.0))
+        worst = (float(c.violation(trajectory).max(initial=0.0)) for c in self.bound_constraints)
+        return max(controls, *worst) if self.bound_constraints else controls
+
+    def violations(self, trajectory: Trajectory) -> dict[str, Array]:
+        """Violation of each constraint at each knot, by its name; zero where it does not act. Shape (N + 1,)."""
+        return {c.name: c.over_knots(c.violation(trajectory)) for c in self.bound_constraints}
+
+    def penalized(self, terms: Sequence[BoundTerm]) -> Problem:
+        """The same problem with more terms in its cost; `unpenalized` leads back."""
+        made = copy.copy(self.unpenalized)
+        object.__setattr__(made, "_terms", (*made._terms, *terms))
+        object.__setattr__(made, "_unpenalized", self.unpenalized)
+        made.__dict__.pop("_prepared", None)  # that of these terms as well
+        return made
+
+    @property
+    def unpenalized(self) -> Problem:
+        """The problem as it was stated, without the terms that `penalized` added."""
+        return self if self._unpenalized is None else self._unpenalized
 
     def cost(self, trajectory: Trajectory) -> float:
         """Total cost J; infinite for a trajectory that diverged."""

@@ -30,7 +30,8 @@ class Result:
     iterations: int
     """Steps taken; trials that were rejected do not count."""
     gradient_norm: float
-    """Euclidean norm of the projected gradient dJ/dU at `trajectory`: without the entries that push against limits."""
+    """Euclidean norm of the projected gradient dJ/dU at `trajectory`: without the entries that push against limits.
+    With constraints, the one of the Lagrangian."""
     trajectory: Trajectory
     """The best iterate."""
     gains: Array | None
@@ -41,12 +42,14 @@ class Result:
     upper: Array
     """Upper limits of the controls. Shape (N, nu)."""
     constraint_violation: float = 0.0
-    """Largest violation of any constraint; 0 without constraints."""
+    """Largest violation of any constraint, in its own unit; 0 without constraints."""
     violations: dict[str, Array] = field(default_factory=dict)
-    """Violation of each constraint at each knot, by its name. Shape (knots,)."""
+    """Violation of each constraint at each knot, by its name, the largest of its entries'; zero where it does not act.
+    Shape (N + 1,)."""
     multipliers: dict[str, Array] = field(default_factory=dict)
     """Multipliers by the name of what they belong to: "controls" for the limits of the controls, positive at an upper
-    limit and negative at a lower one, shape (N, nu)."""
+    limit and negative at a lower one, shape (N, nu); those of the constraints in the same way, one for each of the k
+    knots where a constraint acts and each of its m entries, shape (k, m): -dJ/d(limit)."""
     log: tuple[IterationLog, ...] = ()
     """One entry an iteration, the start included."""
     iterates: tuple[Trajectory, ...] = ()

@@ -16,6 +16,7 @@ class Status(enum.Enum):
     FAILED = "failed"
     INTERRUPTED = "interrupted"
     STOPPED = "stopped"
+    INFEASIBLE = "infeasible"
 
     @property
     def message(self) -> str:
@@ -40,5 +41,9 @@ _MESSAGES = {
     Status.OUT_OF_TIME: "The deadline came before the tolerance was met; this is the best iterate so far.",
     Status.FAILED: "An error ended the solve; this is the best iterate so far.",
     Status.INTERRUPTED: "Interrupted; this is the best iterate so far.",
+    Status.INFEASIBLE: (
+        "The constraints cannot be met from here: this is a stationary point of their violation, beside which there "
+        "may be others. Start elsewhere (guess=), lengthen the horizon, or relax the constraint."
+    ),
     Status.STOPPED: "The callback asked to stop; this is the best iterate so far.",
 }

@@ -36,6 +36,7 @@ Ito and Kunisch 2002, "The primal-dual active set strategy as a semismooth Newto
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -71,6 +72,16 @@ class Box(NamedTuple):
     def bounded(self) -> bool:
         """Whether there is any limit."""
         return bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
+
+    def within(self, other: Box, names: Sequence[str]) -> Box:
+        """What both allow. Raises ValueError, with the control's name, where that is nothing."""
+        both = Box(np.maximum(self.lower, other.lower), np.minimum(self.upper, other.upper))
+        for n, i in np.argwhere(~(both.lower <= both.upper)):
+            raise ValueError(
+                f"limits of the control {names[i]!r} leave nothing at step {n}: one asks for [{self.lower[n, i]:g}, "
+                f"{self.upper[n, i]:g}], another for [{other.lower[n, i]:g}, {other.upper[n, i]:g}]"
+            )
+        return both
 
     def clip(self, U: Array) -> Array:
         """`U` (N, nu) within the limits, exactly on them where it is beyond."""

@@ -71,10 +71,22 @@ def print_summary(result: Result, problem: Problem) -> None:
     lines.add_row("|gradient|", f"{result.gradient_norm:.2e}")
     if limits := describe(result):
         lines.add_row("limits", limits)
+    if result.violations:
+        lines.add_row("constraints", _in_force(result))
     if problem.describe is not None and not result.trajectory.diverged:
         for name, text in problem.describe(result.trajectory).items():
             lines.add_row(name, text)
     console().print(lines)
+
+
+def _in_force(result: Result) -> str:
+    """The constraints whose multipliers are not zero, and the largest violation of all."""
+    found = []
+    for name in result.violations:
+        knots = int((result.multipliers.get(name, np.zeros((0, 1))) != 0.0).any(axis=1).sum())
+        if knots:
+            found.append(f"{name!r} at {knots} {'knot' if knots == 1 else 'knots'}")
+    return f"in force: {', '.join(found) or 'none'}; largest violation {result.constraint_violation:.1e}"
 
 
 def as_dict(result: Result) -> dict[str, Any]:

@@ -13,7 +13,7 @@ and simulators all end in a `Status`, with the best iterate at hand.
 from __future__ import annotations
 
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from mjslq.options import Stopping
 from mjslq.solvers.interrupts import Interrupts
 from mjslq.solvers.iterate import Direction, Iterate
 from mjslq.solvers.merit import CostAndGaps, Merit
-from mjslq.solvers.method import Method, Step
+from mjslq.solvers.method import Duals, Method, Step
 from mjslq.solvers.monitor import Monitor
 from mjslq.solvers.steps import rolled_out
 from mjslq.status import Status
@@ -44,6 +44,8 @@ class Outcome:
     """Of the projected gradient at `iterate`; infinite where derivatives fail."""
     multipliers: Array | None = None
     """Of the limits of the controls; None where there are none. Shape (N, nu)."""
+    duals: Duals = field(default_factory=Duals)
+    """Of the constraints."""
     error: str = ""
     """Traceback of the error that ended the solve."""
 
@@ -74,6 +76,7 @@ def _descend(
     outcome: Outcome, method: Method, merit: Merit, stopping: Stopping, monitor: Monitor, interrupts: Interrupts
 ) -> None:
     """Run the loop, keeping `outcome` up to date at every moment, so that an interrupt loses nothing."""
+    outcome.iterate = method.begin(outcome.iterate)
     for iteration in range(stopping.max_iterations + 1):
         here = outcome.iterate
         if here.gaps is None and not np.isfinite(here.gradient_norm):
@@ -98,7 +101,7 @@ def _descend(
             outcome.status = Status.MAX_ITERATIONS
         else:
             step, tried = method.step(here, ahead, merit), True
-            outcome.status = Status.STEP_TOO_SMALL
+            outcome.status = step.status
         if step.iterate is not None:
             outcome.iterate = step.iterate  # assigned before callbacks, which may raise
         if monitor.record(_entry(monitor, merit, here, ahead, step, tried), here.trajectory):
@@ -110,7 +113,7 @@ def _descend(
 
 def _converged(here: Iterate, ahead: Direction, method: Method, stopping: Stopping) -> str:
     """Which of the tests fires, as a sentence; empty when none does."""
-    if here.gaps is not None:
+    if here.gaps is not None or not method.accepts(here):
         return ""
     if here.gradient_norm <= stopping.tol_gradient:
         return (
@@ -127,9 +130,10 @@ def _converged(here: Iterate, ahead: Direction, method: Method, stopping: Stoppi
 
 
 def _entry(monitor: Monitor, merit: Merit, here: Iterate, ahead: Direction, step: Step, tried: bool) -> IterationLog:
+    problem = here.problem.unpenalized
     return IterationLog(
         iteration=monitor.steps,
-        cost=here.cost,
+        cost=here.cost if problem is here.problem else problem.cost(here.trajectory),
         gradient_norm=here.stationarity(ahead),
         direction_norm=float(np.linalg.norm(ahead.U)),
         slope=merit.slope(here, ahead),
@@ -145,6 +149,7 @@ def _entry(monitor: Monitor, merit: Merit, here: Iterate, ahead: Direction, step
         ratio=step.ratio,
         gap=here.gap,
         limited=int(ahead.held.sum()),
+        violation=problem.violation(here.trajectory) if problem.bound_constraints else 0.0,
     )
 
 
@@ -160,7 +165,9 @@ def _finish(outcome: Outcome, method: Method) -> None:
     try:
         if outcome.iterate.ends is not None:
             outcome.iterate = rolled_out(outcome.iterate, outcome.gains)
-        here = outcome.iterate
+        last, outcome.iterate = outcome.iterate, method.best(outcome.iterate, outcome.status)
+        moved, here = last is not outcome.iterate, outcome.iterate
+        outcome.duals = method.duals(here)
         outcome.gradient_norm = here.gradient_norm
         if here.problem.box.bounded and np.isfinite(here.gradient_norm):
             outcome.multipliers = here.projected_gradient - here.gradient
@@ -169,7 +176,11 @@ def _finish(outcome: Outcome, method: Method) -> None:
         if outcome.iterate.ends is not None:
             outcome.remark += " The gaps between the steps are not closed."
         return
-    if outcome.status in (Status.INTERRUPTED, Status.STOPPED, Status.FAILED):  # the gains are those of the one before
+    if moved or outcome.status in (
+        Status.INTERRUPTED,
+        Status.STOPPED,
+        Status.FAILED,
+    ):  # the gains are those of the one before
         try:
             outcome.gains = method.direction(outcome.iterate).K
         except Exception as error:  # as above; the gains of the iterate before serve

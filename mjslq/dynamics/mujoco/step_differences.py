@@ -28,7 +28,7 @@ _JUMP = 1e-3
 _FINER = 0.01
 """Size of the second differences, relative to the first."""
 OneSided = Callable[[Array, Array, Array, float], Linearization]
-"""one_sided(X, U, S, e) -> A, B, C, D of each knot: states X (M, nx), controls U (M, nu), substates S (M, k - 1, nx)."""
+"""one_sided(X, U, S, e) -> A, B, C, D by knot: states X (M, nx), controls U (M, nu), substates S (M, k - 1, nx)."""
 
 
 def centred_differences(one_sided: OneSided, X: Array, U: Array, S: Array, eps: float, outputs: bool) -> Linearization:

@@ -1,0 +1,121 @@
+"""Constraints bound to a system and a horizon: what `mjslq.constraints` becomes inside a problem.
+
+Notation
+--------
+    r_n                     residual at one of the k knots where the constraint acts. Shape (m,)
+    lower_n <= r_n <= upper_n, entry by entry: equal for an equality, infinite where there is no limit
+    v_n = max(lower_n - r_n, r_n - upper_n, 0)      violation, an entry's; a knot's is the largest of its entries'
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjslq.dynamics.dynamics import Dynamics, Linearization
+from mjslq.knots import Knots
+from mjslq.residuals import BoundResidual, Jacobian
+from mjslq.trajectory import Trajectory
+from mjslq.user_function import UserFunction
+from mjslq.validation import Array
+
+
+@dataclass(frozen=True, eq=False)
+class BoundConstraint:
+    """A residual that has to stay within an interval."""
+
+    name: str
+    """What messages and results call it."""
+    residual: BoundResidual
+    """r_n."""
+    lower: Array
+    """-inf where there is none. Shape (k, m)."""
+    upper: Array
+    """inf where there is none. Shape (k, m)."""
+
+    @property
+    def seen_at(self) -> NDArray[np.int64]:
+        """Knots whose states the k residuals are about: one later for w(x_{n+1}, u_n). Shape (k,)."""
+        indices = self.residual.knots.indices
+        return indices + 1 if isinstance(self.residual, EndResidual) else indices
+
+    def violation(self, trajectory: Trajectory) -> Array:
+        """The largest violation of an entry at each of the k knots. Shape (k,)."""
+        r = self.residual.value(trajectory)
+        return np.maximum(np.maximum(self.lower - r, r - self.upper), 0.0).max(axis=1, initial=0.0)
+
+    def over_knots(self, violation: Array) -> Array:
+        """Violations at the k knots as one at every knot of the horizon, zero elsewhere. Shape (N + 1,)."""
+        everywhere = np.zeros(self.residual.knots.N + 1)
+        everywhere[self.seen_at] = violation
+        return everywhere
+
+    def at(self, t0: float) -> BoundConstraint:
+        """The same constraint on a horizon that starts at the time `t0` [s]."""
+        residual = self.residual.at(t0)
+        return self if residual is self.residual else replace(self, residual=residual)
+
+
+class EntriesResidual(BoundResidual):
+    """Some entries of the state as they are, x_n[columns]."""
+
+    def __init__(self, dynamics: Dynamics, columns: NDArray[Any], knots: Knots) -> None:
+        self.knots, self.size, self._dynamics, self._columns = knots, len(columns), dynamics, columns
+        if dynamics.nx == dynamics.ndx:
+            J = np.zeros((len(knots), self.size, dynamics.nx))
+            J[:, np.arange(self.size), columns] = 1.0
+            self.constant_jacobian = Jacobian(J, None)
+
+    def value(self, trajectory: Trajectory) -> Array:
+        """See `BoundResidual.value`."""
+        entries: Array = trajectory.X[self.knots.at][:, self._columns]
+        return entries
+
+    def jacobian(self, trajectory: Trajectory, linearization: Linearization) -> Jacobian:
+        """See `BoundResidual.jacobian`."""
+        if self.constant_jacobian is not None:
+            return self.constant_jacobian
+        bases = [self._dynamics.tangent_basis(x) for x in trajectory.X[self.knots.at]]
+        return Jacobian(np.stack([basis[self._columns] for basis in bases if basis is not None]), None)
+
+
+class EndResidual(BoundResidual):
+    """w(x_{n+1}, u_n, t_{n+1}) for a user's function w: a step's end with the control that led there.
+
+        dw = w_x dx_{n+1} + w_u du_n = w_x A_n dx_n + (w_x B_n + w_u) du_n
+
+    Its second derivatives are left out.
+    """
+
+    def __init__(self, dynamics: Dynamics, function: UserFunction, knots: Knots, grid: Array) -> None:
+        self.knots, self.size, self._dynamics, self._function = knots, function.size, dynamics, function
+        self._grid = self._times = grid
+
+    def value(self, trajectory: Trajectory) -> Array:
+        """See `BoundResidual.value`."""
+        return self._function.values(self._points(trajectory), self._times)
+
+    def jacobian(self, trajectory: Trajectory, linearization: Linearization) -> Jacobian:
+        """See `BoundResidual.jacobian`."""
+        Z, nx, at = self._points(trajectory), self._dynamics.nx, self.knots.at
+        J = self._function.jacobians(Z, self._times)
+        by_end = J[:, :, :nx]
+        if nx != self._dynamics.ndx:
+            bases = [self._dynamics.tangent_basis(x) for x in Z[:, :nx]]
+            by_end = by_end @ np.stack([basis for basis in bases if basis is not None])
+        by_x, by_u = by_end @ linearization.A[at], by_end @ linearization.B[at] + J[:, :, nx:]
+        return Jacobian(np.ascontiguousarray(by_x), np.ascontiguousarray(by_u))
+
+    def at(self, t0: float) -> EndResidual:
+        """See `BoundResidual.at`."""
+        moved = EndResidual(self._dynamics, self._function, self.knots, self._grid)
+        moved._times = self._grid + t0
+        return moved
+
+    def _points(self, trajectory: Trajectory) -> Array:
+        """(x_{n+1}, u_n) in a row. Shape (k, nx + nu)."""
+        at = self.knots.indices
+        return np.hstack([trajectory.X[at + 1], trajectory.U[at]])

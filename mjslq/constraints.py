@@ -1,0 +1,290 @@
+"""Constraints: what a trajectory has to obey, as intervals of residuals at the knots where they act.
+
+    lower <= r(x_n, u_n, t_n) <= upper
+
+    State       r = x                    Sensor      r = a reading of the engine
+    Path        r = w(x, u, t) <= 0      Terminal    r = m(x_N) = 0
+    Control     limits of the controls, which hold exactly and at every step, beside those of the problem's `bounds`
+
+As with costs, what the user writes is a small frozen record, and `bind` fits it to a system and a horizon
+(`mjslq.bound_constraints`). `when` names knots as it does for costs (`mjslq.knots`), but nothing is weighed with the
+length of a step: each knot has to obey. Between the knots nothing is asked for.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mjslq import residuals
+from mjslq.bound_constraints import BoundConstraint, EndResidual, EntriesResidual
+from mjslq.dynamics.dynamics import Dynamics
+from mjslq.knots import Knots, When, knots_of
+from mjslq.lq.box import Box
+from mjslq.user_function import UserFunction
+from mjslq.validation import Array, as_array, choose
+
+RESERVED = "controls"
+"""What results call the multipliers of the limits of the controls."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Constraint(ABC):
+    """What a user writes down."""
+
+    name: str | None = None
+    """What messages and results call it; the kind unless given, such as "path", or the sensor's name; numbered from
+    the second one on."""
+
+    @property
+    def kind(self) -> str:
+        """What it is called where it has no name."""
+        return type(self).__name__.lower()
+
+    @abstractmethod
+    def bind(self, dynamics: Dynamics, N: int, name: str) -> BoundConstraint | Box:
+        """Fit to a system and a horizon: limits of the controls as a `Box`. Raises ValueError."""
+
+
+@dataclass(frozen=True)
+class State(Constraint):
+    """Limits of the entries of the state, lower <= x <= upper.
+
+    A quaternion's entries are limited as the numbers that they are; most often they have no limits.
+    """
+
+    lower: ArrayLike | None = None
+    """A number, one an entry, or one a knot and entry; -inf where there is none, None for none at all.
+    Shape () | (nx,) | (N + 1, nx) | (k, nx)."""
+    upper: ArrayLike | None = None
+    """The same, inf where there is none."""
+    when: When = "always"
+    """Where it holds; see `mjslq.knots.When`."""
+
+    def bind(self, dynamics: Dynamics, N: int, name: str) -> BoundConstraint:
+        """See `Constraint.bind`."""
+        knots = knots_of(self.when, dynamics.steps(N))
+        lower, upper = _interval(self.lower, self.upper, dynamics.nx, knots, N + 1, dynamics.state_names)
+        limited = np.flatnonzero((np.isfinite(lower) | np.isfinite(upper)).any(axis=0))
+        residual = EntriesResidual(dynamics, limited, knots)
+        return BoundConstraint(name, residual, lower[:, limited], upper[:, limited])
+
+
+@dataclass(frozen=True)
+class Control(Constraint):
+    """Limits of the controls, lower <= u <= upper, at every step; the problem's `bounds` hold beside them."""
+
+    lower: ArrayLike | None = None
+    """A number, one a control, or one a step and control; -inf where there is none, None for none at all.
+    Shape () | (nu,) | (N, nu)."""
+    upper: ArrayLike | None = None
+    """The same, inf where there is none."""
+
+    def bind(self, dynamics: Dynamics, N: int, name: str) -> Box:
+        """See `Constraint.bind`."""
+        steps = knots_of("running", dynamics.steps(N))
+        return Box(*_interval(self.lower, self.upper, dynamics.nu, steps, N, dynamics.control_names))
+
+
+@dataclass(frozen=True)
+class Sensor(Constraint):
+    """Limits of an output of the engine: a MuJoCo sensor, such as a distance, or a frame's position."""
+
+    sensor: str
+    """The sensor's name."""
+    lower: ArrayLike | None = None
+    """A number, one an entry of the reading, or one a knot and entry; -inf where there is none, None for none at all.
+    Shape () | (m,) | (N + 1, m) | (k, m)."""
+    upper: ArrayLike | None = None
+    """The same, inf where there is none."""
+    when: When = "always"
+    """Where it holds; see `mjslq.knots.When`. At the terminal knot readings are taken with zero control."""
+
+    @property
+    def kind(self) -> str:
+        """See `Constraint.kind`."""
+        return str(self.sensor)
+
+    def bind(self, dynamics: Dynamics, N: int, name: str) -> BoundConstraint:
+        """See `Constraint.bind`."""
+        columns, quaternion = dynamics.outputs[choose("sensor", self.sensor, dynamics.outputs)]
+        if quaternion:
+            raise ValueError(
+                f"sensor {self.sensor!r} reads an orientation, whose entries have no limits of their own; limit what "
+                f"you mean by it with constraints.Path"
+            )
+        knots = knots_of(self.when, dynamics.steps(N))
+        residual = residuals.bind_output(dynamics, self.sensor, np.zeros(columns.stop - columns.start), knots)
+        names = dynamics.output_names[columns]
+        return BoundConstraint(name, residual, *_interval(self.lower, self.upper, residual.size, knots, N + 1, names))
+
+
+@dataclass(frozen=True)
+class Path(Constraint):
+    """w(x, u, t) <= 0, or = 0, for any smooth function w.
+
+    Plain Python is called knot by knot; a function compiled by `numba.njit` is not. See `mjslq.costs.Residual` for
+    what such functions have to return.
+    """
+
+    w: Callable[..., Any]
+    """w(x, u, t) -> (m,) or a number; at the terminal knot u is zero. Analytic in x and u unless `jacobian` is given.
+    """
+    equality: bool = False
+    """Whether w has to be zero; otherwise it must not be positive."""
+    when: When = "running"
+    """Where it holds; see `mjslq.knots.When`. With at="end", the steps whose ends are meant."""
+    at: Literal["start", "end"] = "start"
+    """"start": w(x_n, u_n, t_n). "end": w(x_{n+1}, u_n, t_{n+1}), the end of step n with the control that led there.
+    """
+    jacobian: Callable[..., Any] | None = field(default=None, kw_only=True)
+    """jacobian(x, u, t) -> (dw/dx (m, nx), dw/du (m, nu)); by complex step unless given."""
+    parameters: ArrayLike | None = field(default=None, kw_only=True)
+    """p, handed through to w(x, u, t, p) and jacobian(x, u, t, p) if given. Shape (size,)."""
+
+    def bind(self, dynamics: Dynamics, N: int, name: str) -> BoundConstraint:
+        """See `Constraint.bind`."""
+        function = UserFunction("w", self.w, dynamics.nx, dynamics.nu, self.jacobian, self.parameters)
+        steps = dynamics.steps(N)
+        knots = knots_of(self.when, steps)
+        residual: residuals.BoundResidual
+        if choose("at", self.at, ("start", "end")) == "end":
+            if len(knots.steps) < len(knots):
+                raise ValueError(f'when must name steps with at="end", 0 to {N - 1}: no step begins at knot {N}')
+            residual = EndResidual(dynamics, function, knots, np.cumsum(steps)[knots.indices])
+        else:
+            residual = residuals.bind_function(dynamics, function, knots, steps)
+        return _function_constraint(name, residual, self.equality)
+
+
+@dataclass(frozen=True)
+class Terminal(Constraint):
+    """m(x_N) = 0, or <= 0, for any smooth function m of the final state."""
+
+    m: Callable[..., Any]
+    """m(x) -> (m,) or a number. Analytic in x unless `jacobian` is given."""
+    equality: bool = True
+    """Whether m has to be zero; otherwise it must not be positive."""
+    jacobian: Callable[..., Any] | None = field(default=None, kw_only=True)
+    """jacobian(x) -> dm/dx (m, nx); by complex step unless given."""
+
+    def bind(self, dynamics: Dynamics, N: int, name: str) -> BoundConstraint:
+        """See `Constraint.bind`."""
+        if not callable(self.m):
+            raise ValueError(f"m(x) must be a function, got {type(self.m).__name__}")
+        jacobian = None if self.jacobian is None else _JacobianOfState(self.jacobian, dynamics.nu)
+        function = UserFunction("m", _OfState(self.m), dynamics.nx, dynamics.nu, jacobian)
+        steps = dynamics.steps(N)
+        residual = residuals.bind_function(dynamics, function, knots_of("terminal", steps), steps)
+        return _function_constraint(name, residual, self.equality)
+
+
+@dataclass(frozen=True)
+class _OfState:
+    """m(x) as a function of (x, u, t)."""
+
+    m: Callable[..., Any]
+
+    def __call__(self, x: Array, u: Array, t: float) -> Any:
+        return self.m(x)
+
+
+@dataclass(frozen=True)
+class _JacobianOfState:
+    """dm/dx as derivatives by x and u."""
+
+    jacobian: Callable[..., Any]
+    nu: int
+
+    def __call__(self, x: Array, u: Array, t: float) -> tuple[Any, Array]:
+        by_x = np.atleast_2d(np.asarray(self.jacobian(x), dtype=np.float64))
+        return by_x, np.zeros((len(by_x), self.nu))
+
+
+def bind_all(given: Any, dynamics: Dynamics, N: int) -> tuple[tuple[BoundConstraint, ...], tuple[Box, ...]]:
+    """Fit all constraints of a problem: those with residuals, and limits of controls. Raises ValueError."""
+    if not isinstance(given, (Constraint, Sequence)):
+        raise ValueError(f"constraints must be a list of mjslq.constraints, got {type(given).__name__}")
+    constraints = [given] if isinstance(given, Constraint) else list(given)
+    bound: list[BoundConstraint] = []
+    boxes: list[Box] = []
+    for i, constraint in enumerate(constraints):
+        if not isinstance(constraint, Constraint):
+            raise ValueError(f"constraints[{i}] must be one of mjslq.constraints, got {type(constraint).__name__}")
+    for i, (constraint, name) in enumerate(zip(constraints, _names(constraints), strict=True)):
+        try:
+            found = constraint.bind(dynamics, N, name)
+        except ValueError as error:
+            raise ValueError(f"constraints[{i}] ({type(constraint).__name__} {name!r}): {error}") from None
+        if isinstance(found, Box):
+            boxes.append(found)
+        else:
+            bound.append(found)
+    return tuple(bound), tuple(boxes)
+
+
+def _names(constraints: Sequence[Constraint]) -> list[str]:
+    """A name for each, the given ones as they are. Raises ValueError where two are the same."""
+    taken: set[str] = {RESERVED}
+    for i, constraint in enumerate(constraints):
+        name = constraint.name
+        if name is None:
+            continue
+        if not isinstance(name, str) or not name:
+            raise ValueError(f"constraints[{i}]: name must be a text that is not empty, got {name!r}")
+        if name in taken:
+            why = "belongs to the limits of the controls" if name == RESERVED else "is another constraint's, too"
+            raise ValueError(f"constraints[{i}]: name {name!r} {why}; give each constraint a name of its own")
+        taken.add(name)
+    names = []
+    for constraint in constraints:
+        name, kind, number = constraint.name, constraint.kind, 1
+        while name is None:
+            trial = kind if number == 1 else f"{kind} {number}"
+            name, number = (None if trial in taken else trial), number + 1
+        taken.add(name)
+        names.append(name)
+    return names
+
+
+def _function_constraint(name: str, residual: residuals.BoundResidual, equality: bool) -> BoundConstraint:
+    if not isinstance(equality, bool):
+        raise ValueError(f"equality must be True or False, got {equality!r}")
+    upper = np.zeros((len(residual.knots), residual.size))
+    return BoundConstraint(name, residual, upper if equality else np.full_like(upper, -np.inf), upper)
+
+
+def _interval(
+    lower: ArrayLike | None, upper: ArrayLike | None, size: int, knots: Knots, every: int, names: Sequence[str]
+) -> tuple[Array, Array]:
+    """Limits at each of the k knots (k, size), from one for all, one an entry, or one for `every` knot and entry."""
+    sides = []
+    for side, given, none in (("lower", lower, -np.inf), ("upper", upper, np.inf)):
+        limit = as_array(side, none if given is None else given, finite=False)
+        listed = limit.ndim == 2 and len(limit) == len(knots)
+        rows = len(knots) if listed else every
+        if limit.shape not in ((), (size,), (rows, size)):
+            raise ValueError(
+                f"{side} must be a number, one an entry ({size},) or one a knot and entry ({every}, {size}), "
+                f"got shape {limit.shape}"
+            )
+        if np.isnan(limit).any():
+            raise ValueError(f"{side} must not be NaN; write {none} where there is no limit")
+        spread = np.broadcast_to(limit, (rows, size))
+        sides.append(np.array(spread if rows == len(knots) else spread[knots.at], order="C"))
+    low, high = sides
+    wrong = np.argwhere(~((low <= high) & (low < np.inf) & (high > -np.inf)))
+    if wrong.size:
+        n, i = wrong[0]
+        raise ValueError(
+            f"lower must not lie above upper, nothing would be left between them: got {low[n, i]:g} and {high[n, i]:g} "
+            f"for {names[i]!r} at knot {knots.indices[n]}"
+        )
+    if not (np.isfinite(low) | np.isfinite(high)).any():
+        raise ValueError("there is no finite limit; give lower, upper or both")
+    return low, high

@@ -1,0 +1,274 @@
+"""`constrained`: an augmented Lagrangian, minimized by the sweeps of `auto` within the limits of the controls.
+
+Notation
+--------
+    L          cost and losses of the constraints (`solvers.augmented`): the augmented Lagrangian
+    s          size of the cost, so that constants do not depend on its unit
+    rho        penalty weight; rho / s is the one of a cost of size 1
+    e          complementarity, the largest |r - z|: how far constraints are from being met and touched
+    t          tolerance of a round
+
+Rounds
+------
+    1  iterate on L, once at least, until |slope of the direction| < t (s + |L|), or `ROUND` iterations
+    2  lambda <- lambda+;  rho <- 10 rho where e has not fallen below a quarter of its last value
+    3  t <- max(`LEAST_T`, min(0.3 t, 0.01 e))
+
+from rho = 0.1 s and t = 0.01. Low weights first: where obstacles are in the way, a start that lies beyond one of them
+can still be pushed to either side. The solve ends when all constraints are met within `tol_violation`, e is as small,
+and L has no slope left by the tests that all methods share: at such a point the gradient of L is the one of the
+Lagrangian. Where the constraints are met, rounds end no more.
+
+Infeasible: e above 0.9 of its least value in `STALLED` rounds, and rho at least 1e4 s. Then the solve starts anew from
+its start, twice at most, and then says so. It starts with a tenth of the first rho, or, from a start that meets the
+constraints, with a hundred times as much: there the first round went astray, such as through a wall. This is a local
+verdict: the iterate is a stationary point of the violation, and there may be another way.
+
+Each constraint's entry is scaled by the largest gradient that it has along the start. Limits of the controls are no
+part of this: the sweeps keep to them exactly.
+
+The result is the last iterate where the solve converged, and otherwise the one with the least violation, or the least
+cost among those that meet the constraints.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mjslq.options import ConstrainedOptions
+from mjslq.solvers.augmented import Augmented, scales_of, zero_multipliers
+from mjslq.solvers.auto import Auto
+from mjslq.solvers.iterate import Direction, Iterate
+from mjslq.solvers.linesearch import in_roundoff
+from mjslq.solvers.merit import Merit
+from mjslq.solvers.method import Duals, Method, Step
+from mjslq.status import Status
+from mjslq.validation import Array
+
+ROUND = 60
+"""Iterations of a round, at most."""
+FIRST_T, LEAST_T, TIGHTEN, OF_COMPLEMENTARITY = 1e-2, 1e-10, 0.3, 1e-2
+"""Tolerances of the rounds."""
+ENOUGH, GROW, LARGEST = 0.25, 10.0, 1e9
+"""Share of the complementarity that a round may leave; growth and largest value of rho / s."""
+NOT_FALLING, STALLED, HEAVY = 0.9, 4, 1e4
+"""What makes a problem infeasible."""
+RESTARTS, LIGHTER, HEAVIER = 2, 0.1, 100.0
+"""Times that the solve starts anew, and the factors on the first rho."""
+LEAST_SHARE = 1e-3
+"""Least size of the cost, relative to that of the start."""
+FAILURES = 4
+"""Rounds in a row without a step, at most."""
+
+
+class Best(NamedTuple):
+    """The iterate to fall back on."""
+
+    violation: float
+    cost: float
+    violations: dict[str, Array]
+    iterate: Iterate
+    augmented: Augmented
+    tol: float
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Less is better; all that meets the constraints is as good."""
+        return max(self.violation, self.tol), self.cost
+
+
+class Constrained(Method):
+    """The method, with its round."""
+
+    def __init__(self, options: ConstrainedOptions) -> None:
+        self.options = options
+        self._inner = Auto(options)
+        self._rounds = self._restarts = self._iterations = self._failures = self._stalled = 0
+        self._best: Best | None = None
+        self._augmented: Augmented | None = None
+        self._hopeless = False
+        self._said = ""
+
+    def begin(self, start: Iterate) -> Iterate:
+        """Put the losses of the first round into the cost."""
+        self._start = start
+        self._scales = scales_of(start.problem, start)
+        self._size = cost_size(start, self._scales)
+        self._first_rho = self.options.penalty * self._size
+        self._start_is_met = start.problem.violation(start.trajectory) <= self.options.tol_violation
+        self._said = _fixed(start, self.options.tol_violation)
+        self._hopeless = bool(self._said)
+        return self._restart()
+
+    def direction(self, here: Iterate) -> Direction:
+        """The direction of `auto` on L."""
+        return self._inner.direction(here)
+
+    def step(self, here: Iterate, direction: Direction, merit: Merit) -> Step:
+        """A step on L, or the next round where this one is over."""
+        if self._hopeless:
+            return Step(None, status=Status.INFEASIBLE)
+        self._iterations += 1
+        slope, accepted = abs(merit.slope(here, direction)), self.accepts(here)
+        small = not direction.limited and slope < self._t * (self._size + abs(here.cost))
+        if (small and not accepted and self._iterations > 1) or self._iterations > ROUND:
+            self._failures = 0
+            return self._next_round(here)
+        step = self._inner.step(here, direction, merit)
+        if step.iterate is None:
+            lost = in_roundoff(slope, here.cost)
+            self._failures = 0 if small or lost else self._failures + 1
+            if accepted and lost:
+                self._said = "The decrease that a step could bring is lost in rounding."
+                return Step(None, rollouts=step.rollouts, status=Status.CONVERGED)
+            if self._failures > FAILURES:
+                return step
+            return self._next_round(here, step.rollouts)
+        self._failures = 0
+        self._keep(step.iterate)
+        return step
+
+    def accepts(self, here: Iterate) -> bool:
+        """Whether constraints are met and multipliers belong to limits that are touched."""
+        tol, augmented = self.options.tol_violation, self._round
+        met = augmented.problem.violation(here.trajectory) <= tol
+        return met and augmented.complementarity(here.trajectory) <= tol
+
+    def best(self, last: Iterate, status: Status) -> Iterate:
+        """The last iterate where the solve converged, or the best one."""
+        if status is Status.CONVERGED or self._best is None:
+            return last
+        self._augmented = self._best.augmented
+        return self._best.iterate
+
+    def duals(self, here: Iterate) -> Duals:
+        """Multipliers lambda+ and violations at `here`."""
+        if self._best is None:  # it failed before it began
+            return Duals()
+        best = self._best if self._best.iterate is here else self._seen(here)
+        named = zip(best.augmented.constraints, best.augmented.next_multipliers(here.trajectory), strict=True)
+        multipliers = {constraint.name: multiplier for constraint, multiplier in named}
+        return Duals(multipliers, best.violations, best.violation)
+
+    def remark(self) -> str:
+        """How the rounds went."""
+        parts = [f"{self._rounds} {'round' if self._rounds == 1 else 'rounds'}"]
+        if self._restarts:
+            how = f"with a {'larger' if self._start_is_met else 'smaller'} penalty"
+            parts.append(f"{self._restarts} {'restart' if self._restarts == 1 else 'restarts'} {how}")
+        said = f"constrained: {', '.join(parts)}."
+        return f"{self._said} {said}" if self._said else said
+
+    @property
+    def _round(self) -> Augmented:
+        assert self._augmented is not None
+        return self._augmented
+
+    def _restart(self) -> Iterate:
+        """The first round from the start."""
+        self._augmented = Augmented.of(
+            self._start.problem, zero_multipliers(self._start.problem), self._scales, self._first_rho
+        )
+        self._t, self._last, self._least, self._stalled = FIRST_T, np.inf, np.inf, 0
+        self._iterations = self._failures = 0  # of this round; rounds in a row without a step
+        self._rounds += 1
+        self._inner = Auto(self.options)
+        here = self._round.about(self._start)
+        self._keep(here)
+        return here
+
+    def _next_round(self, here: Iterate, rollouts: int = 0) -> Step:
+        """Rules 2 and 3 at the head of this file, or the end."""
+        e, rho = self._round.complementarity(here.trajectory), self._round.rho
+        tol = self.options.tol_violation
+        self._stalled = self._stalled + 1 if e > max(NOT_FALLING * self._least, tol) else 0
+        if self._stalled >= STALLED and rho >= HEAVY * self._size:
+            return self._give_up(here, rollouts)
+        self._least = min(self._least, e)
+        if e > ENOUGH * self._last and e > 0.1 * tol:
+            rho = min(GROW * rho, LARGEST * self._size)
+        self._last = e
+        self._t = max(LEAST_T, min(TIGHTEN * self._t, OF_COMPLEMENTARITY * e))
+        self._augmented = self._round.updated(here.trajectory, rho)
+        self._iterations, self._rounds = 0, self._rounds + 1
+        there = self._augmented.about(here)
+        self._keep(there)
+        return Step(there, rollouts=rollouts, rejected=True)
+
+    def _give_up(self, here: Iterate, rollouts: int) -> Step:
+        """Start anew with a smaller penalty, or call the problem infeasible."""
+        if self._restarts < RESTARTS:
+            self._restarts += 1
+            self._first_rho *= HEAVIER if self._start_is_met else LIGHTER
+            return Step(self._restart(), rollouts=rollouts, rejected=True)
+        best = here if self._best is None else self._best.iterate
+        self._said = _verdict(best, self.options.tol_violation)
+        if self._said:
+            return Step(None, rollouts=rollouts, status=Status.INFEASIBLE)
+        self._said = "The constraints are met, but a point of least cost that meets them was not found."
+        return Step(None, rollouts=rollouts)
+
+    def _keep(self, iterate: Iterate) -> None:
+        """Remember the iterate if it is the best so far."""
+        found = self._seen(iterate)
+        if self._best is None or found.rank <= self._best.rank:
+            self._best = found
+
+    def _seen(self, iterate: Iterate) -> Best:
+        """What an iterate of this round is worth."""
+        problem, trajectory = iterate.problem.unpenalized, iterate.trajectory
+        violations = problem.violations(trajectory)
+        worst = max((float(violation.max()) for violation in violations.values()), default=0.0)
+        tol = self.options.tol_violation
+        return Best(worst, problem.cost(trajectory), violations, iterate, self._round, tol)
+
+
+def cost_size(start: Iterate, scales: tuple[Array, ...]) -> float:
+    """s: what a step towards the constraints costs, at most the cost of the start; that, where they are met.
+
+    The step is the one of steepest descent, in the metric of the control weights, of half the squared violations. Too
+    small a size takes a few rounds more, too large a one may end at the wrong side of an obstacle.
+    """
+    problem = start.problem
+    penalized = Augmented.of(problem, zero_multipliers(problem), scales, 1.0).about(start)
+    cost, both = start.gauss_newton, penalized.gauss_newton
+    slope = penalized.gradient - start.gradient
+    weights = np.einsum("nii->ni", cost.R)
+    U = -slope / np.maximum(weights, 1e-6 * weights.max(initial=0.0) + 1e-300)
+    X = cost.states(U)
+    own = cost.value(X, U) - float(np.vdot(cost.q, X) + np.vdot(cost.r, U))
+    violations = both.value(X, U) - float(np.vdot(both.q, X) + np.vdot(both.r, U)) - own
+    length = -0.5 * float(np.vdot(slope, U)) / violations if violations > 0.0 else 0.0
+    price, at_start = length * length * own, abs(start.cost)
+    if not 0.0 < price < np.inf:
+        return at_start or 1.0
+    return min(max(price, LEAST_SHARE * at_start), at_start or np.inf)
+
+
+def _fixed(start: Iterate, tol: float) -> str:
+    """Which constraints the initial state violates where no control enters them: nothing can be done about these."""
+    for constraint in start.problem.unpenalized.bound_constraints:
+        if (
+            constraint.seen_at[0] > 0
+            or constraint.residual.jacobian(start.trajectory, start.linearization).u is not None
+        ):
+            continue
+        violation = float(constraint.violation(start.trajectory)[0])
+        if violation > tol:
+            return f"The initial state itself violates {constraint.name!r}, by {violation:.3g}."
+    return ""
+
+
+def _verdict(here: Iterate, tol: float) -> str:
+    """Which constraints are violated, and where."""
+    found = []
+    for name, violation in here.problem.unpenalized.violations(here.trajectory).items():
+        knots = np.flatnonzero(violation > tol)
+        if knots.size:
+            worst = int(violation.argmax())
+            where = f"knot {knots[0]}" if knots.size == 1 else f"{knots.size} of the knots {knots[0]} to {knots[-1]}"
+            found.append((float(violation[worst]), f"{name!r} at {where}, by up to {violation[worst]:.3g}"))
+    found.sort(reverse=True)
+    return "Violated: " + "; ".join(text for _, text in found) + "." if found else ""
