@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from mjslq.dynamics.mujoco.step_differences import OneSided
 
 
-CURVATURE_PRICE = 10.0
-"""Linearizations that second derivatives in closed form cost, about."""
+SMOOTH_PRICE, CONSTRAINED_PRICE = 2.0, 10.0
+"""Linearizations that second derivatives in closed form cost, about: of smooth models, of those with contacts, ..."""
 
 
 class MujocoDynamics(Dynamics):
@@ -262,8 +262,12 @@ class MujocoDynamics(Dynamics):
 
     @property
     def curvature_price(self) -> float:
-        """See `Dynamics.curvature_price`: some passes where there is a closed form, more with contacts."""
-        return super().curvature_price if self._inverse_hessians is None else CURVATURE_PRICE
+        """See `Dynamics.curvature_price`: a few linearizations where there is a closed form, more with contacts."""
+        if self._inverse_hessians is None:
+            return super().curvature_price
+        from mjslq.dynamics.mujoco.inverse.table.plan import can_be_constrained
+
+        return CONSTRAINED_PRICE if can_be_constrained(self.model) else SMOOTH_PRICE
 
     def hessian(
         self,
