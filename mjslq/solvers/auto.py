@@ -27,8 +27,8 @@ doubled as long as that pays.
 
 Second derivatives are taken in when full steps shrink the expected decrease by less than `SLOW`, or steps have to be
 shortened, three times in a row, and more often where second derivatives are dear (`Dynamics.curvature_price`): then
-Gauss-Newton converges slowly, or points the wrong way. A direction whose multiplier makes it short does not count as
-converged.
+Gauss-Newton converges slowly, or points the wrong way. A direction with a multiplier counts as converged only if it
+were short without, too.
 """
 
 from __future__ import annotations
@@ -53,7 +53,9 @@ PATIENCE, LINEARIZATIONS_A_TURN = 3, 20.0
 """Slow iterations in a row, after which second derivatives are taken in where they cost nothing, and the price, in
 linearizations, for which one more is waited."""
 LITTLE = 0.1
-"""Share of a multiplier in the model, up to which it may be that it does not matter."""
+"""Share of the multipliers in the model, up to which a step is as good as without."""
+NEARLY = 1e-2
+"""Length of a damped direction, relative to the controls, below which it is told how long it were without."""
 LEAST_THETA = 0.01
 """Share of the curvature below which none is taken in."""
 SWEEPS = 15
@@ -140,7 +142,7 @@ class Auto(Method):
         else:
             raise NotPositiveDefinite(0)
         self._latest, self.theta = latest, latest.theta
-        return _direction(latest)._replace(limited=self._limited(here, latest))
+        return _direction(latest)._replace(limited=any(latest.mu), undamped=_undamped(here, latest))
 
     def step(self, here: Iterate, direction: Direction, merit: Merit) -> Step:
         """Search along the direction; learn from the step how good the model is."""
@@ -188,18 +190,6 @@ class Auto(Method):
                 theta *= 0.5
         return _solve(here, convex, self.theta if exact is None else 0.5 * LEAST_THETA, mu)
 
-    def _limited(self, here: Iterate, latest: Candidate) -> bool:
-        """Whether multipliers make the direction short: it would be longer by half without them."""
-        if not any(latest.mu):
-            return False
-        if latest.share > LITTLE:
-            return True
-        try:
-            free = _solve(here, latest.model, latest.theta, Multipliers())
-        except NotPositiveDefinite:
-            return True
-        return not free.fine or float(np.linalg.norm(free.found.lq.U)) > 1.5 * float(np.linalg.norm(latest.found.lq.U))
-
     def _adapt(self, alpha: float, latest: Candidate, price: float) -> None:
         """Change the multipliers after a step, and decide on second derivatives."""
         factor = GROW if alpha <= SHORT else 1.0 / SHRINK if alpha == 1.0 else 0.5
@@ -212,7 +202,7 @@ class Auto(Method):
             return
         poor = alpha < 1.0 or (latest.share < LITTLE and latest.decrease > SLOW * self._last)
         self._slow, self._last = self._slow + 1 if poor else 0, latest.decrease
-        if self._slow >= PATIENCE + price / LINEARIZATIONS_A_TURN:
+        if self._slow >= PATIENCE + price // LINEARIZATIONS_A_TURN:
             self._second_from, self.theta = self._iterations, 1.0
 
     def _rescue(self, here: Iterate, merit: Merit) -> Step:
@@ -274,6 +264,18 @@ class Auto(Method):
 
 def _other(kind: str) -> str:
     return "control" if kind == "state" else "state"
+
+
+def _undamped(here: Iterate, latest: Candidate) -> float | None:
+    """Length of the direction without multipliers, where there are some and it may be short enough to matter."""
+    U = latest.found.lq.U
+    if not any(latest.mu) or np.linalg.norm(U) > NEARLY * np.linalg.norm(here.trajectory.U):
+        return None
+    try:
+        free = _solve(here, latest.model, latest.theta, Multipliers())
+    except NotPositiveDefinite:
+        return None
+    return float(np.linalg.norm(free.found.lq.U)) if free.fine else None
 
 
 def _expanded(trial: Trial, alpha: float) -> float:

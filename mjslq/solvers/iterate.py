@@ -52,6 +52,8 @@ class Direction(NamedTuple):
     """Of the ball that the direction was found in; 0 for none."""
     limited: bool = False
     """Whether the direction is short because a multiplier keeps it so, which is no sign of convergence."""
+    undamped: float | None = None
+    """Norm of the change of the controls without the multiplier, where it is known."""
 
     @staticmethod
     def to(model: LQProblem, found: Damped, by: By = "control", radius: float = 0.0) -> Direction:

@@ -121,7 +121,9 @@ def _converged(here: Iterate, ahead: Direction, method: Method, stopping: Stoppi
             f"{stopping.tol_gradient:g}."
         )
     length, size = float(np.linalg.norm(ahead.U)), float(np.linalg.norm(here.trajectory.U))
-    if method.tests_direction and not ahead.limited and length <= stopping.tol_direction * size:
+    if ahead.limited:
+        length = np.inf if ahead.undamped is None else max(length, ahead.undamped)
+    if method.tests_direction and length <= stopping.tol_direction * size:
         return (
             f"The direction is {length / max(size, 1e-300):.1e} times as long as the controls, within tol_direction = "
             f"{stopping.tol_direction:g}."
