@@ -151,11 +151,17 @@ def _directions(Z: Array) -> Array:
     return directions
 
 
+def _moved(values: Values, at: NDArray[np.intp], Z: Array, D: Array, sizes: tuple[float, ...]) -> Array:
+    """Values at Z + e D for each e of `sizes`, in one call. Shape (number of sizes, k, m)."""
+    points = np.concatenate([Z + e * D for e in sizes])
+    return values(np.tile(at, len(sizes)), points).reshape(len(sizes), len(at), -1)
+
+
 def _compare(
     values: Values, at: NDArray[np.intp], Z: Array, D: Array, slope: Array, scale: Array
 ) -> tuple[NDArray[np.bool_], Array]:
     """Where slopes are not those of differences, and by how much. Shapes (k, m), (k, m)."""
-    plus, minus = values(at, Z + DIFFERENCE * D), values(at, Z - DIFFERENCE * D)
+    plus, minus = _moved(values, at, Z, D, (DIFFERENCE, -DIFFERENCE))
     central = (plus - minus) / (2.0 * DIFFERENCE)
     gap = np.abs(slope - central)
     same = gap <= _AGREE * scale + _ROUNDING / DIFFERENCE * np.maximum(np.abs(plus), np.abs(minus))
@@ -166,9 +172,9 @@ def _examine(
     values: Values, at: NDArray[np.intp], Z: Array, D: Array, slope: Array, scale: Array, gap: Array
 ) -> NDArray[np.bool_]:
     """Look closer at points where `_compare` found gaps: whether nothing explains them. Shape (k, m)."""
-    here, wrong = values(at, Z), np.ones(slope.shape, dtype=bool)
-    for e in (DIFFERENCE, *_OTHER_STEPS):
-        plus, minus = values(at, Z + e * D), values(at, Z - e * D)
+    sizes, wrong = (DIFFERENCE, *_OTHER_STEPS), np.ones(slope.shape, dtype=bool)
+    here, *beside = _moved(values, at, Z, D, (0.0, *sizes, *(-e for e in sizes)))
+    for e, plus, minus in zip(sizes, beside[: len(sizes)], beside[len(sizes) :], strict=True):
         sides = np.sort([(plus - here) / e, (here - minus) / e], axis=0)
         rounding = _ROUNDING / e * np.maximum(np.abs(plus), np.abs(minus))
         allowed = _AGREE * scale + rounding

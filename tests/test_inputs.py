@@ -95,7 +95,7 @@ def test_a_folder_by_name_goes_before_all_others(tmp_path):
 def test_packages_that_are_no_folders_are_refused(tmp_path):
     file = meshed(tmp_path, ("visual", "package://bot/meshes/arm.obj"))
     for packages in (tmp_path / "none", {"bot": tmp_path / "none"}, [file]):
-        with pytest.raises(ValueError, match="packages must name folders, but '.*' is none"):
+        with pytest.raises(ValueError, match=r"packages must name folders, but '.*' is none"):
             urdf_spec(file, packages=packages)
 
 
