@@ -101,6 +101,7 @@ def solve(
     from mjslq.reports.tables import as_dict, print_summary
     from mjslq.validation import choose
 
+    _refuse_model(problem)
     choose("problem", problem, problems.names())
     method = choose("method", method or _default_method(), [*METHODS, *ALIASES])
     parameters, options = _sort_settings(settings or [], problem, option_names(method))
@@ -204,6 +205,7 @@ def compare(
     from mjslq.reports.tables import console, table
     from mjslq.validation import choose
 
+    _refuse_model(problem)
     choose("problem", problem, problems.names())
     if plot is not None:
         choose("ending of a picture", plot.suffix, figures.FORMATS)
@@ -302,6 +304,16 @@ def _bench_starts(cases: list[str] | None, number: int, as_json: bool) -> None:
         print(json.dumps({"starts": [row.as_dict() for row in rows]}))
     else:
         tables.many_starts(rows)
+
+
+def _refuse_model(what: str) -> None:
+    """Refuse a model where a problem is wanted: a model has no cost, which takes a few lines of Python."""
+    if Path(what).suffix.lower() in (".xml", ".urdf", ".mjb"):
+        raise ValueError(
+            f"{what!r} is a model, and a problem has a cost besides: pose it in Python, as in mjslq.solve("
+            f"mjslq.Problem(mjslq.MujocoDynamics.from_path({what!r}), horizon, x0, costs)); "
+            f"`mjslq check {what}` says what serves the model, `mjslq list` shows ready problems"
+        )
 
 
 def _refuse_unwritable(file: Path) -> None:

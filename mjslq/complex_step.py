@@ -99,11 +99,12 @@ def wrong_slopes(values: Values, Z: Array, J: Array, scale: Array | None = None)
     with np.errstate(all="ignore"):
         slope = np.einsum("kmn,kn->km", J, D)
         scale = np.einsum("kmn,kn->km", np.abs(J), np.abs(D)) if scale is None else scale
+        parts = np.einsum("kmn,kn->km", np.abs(J), np.abs(Z))  # values may be small differences of such
         try:
-            wrong, gap = _compare(values, np.arange(len(Z)), Z, D, slope, scale)
+            wrong, gap = _compare(values, np.arange(len(Z)), Z, D, slope, scale, parts)
             at = np.flatnonzero(wrong.any(axis=1))
             if at.size:
-                wrong[at] &= _examine(values, at, Z[at], D[at], slope[at], scale[at], gap[at])
+                wrong[at] &= _examine(values, at, Z[at], D[at], slope[at], scale[at], parts[at], gap[at])
         except (ArithmeticError, ValueError, IndexError):
             return np.zeros(slope.shape, dtype=bool)
     return wrong
@@ -151,28 +152,47 @@ def _directions(Z: Array) -> Array:
     return directions
 
 
+def _moved(values: Values, at: NDArray[np.intp], Z: Array, D: Array, sizes: tuple[float, ...]) -> Array:
+    """Values at Z + e D for each e of `sizes`, in one call. Shape (number of sizes, k, m)."""
+    points = np.concatenate([Z + e * D for e in sizes])
+    return values(np.tile(at, len(sizes)), points).reshape(len(sizes), len(at), -1)
+
+
 def _compare(
-    values: Values, at: NDArray[np.intp], Z: Array, D: Array, slope: Array, scale: Array
+    values: Values, at: NDArray[np.intp], Z: Array, D: Array, slope: Array, scale: Array, parts: Array
 ) -> tuple[NDArray[np.bool_], Array]:
     """Where slopes are not those of differences, and by how much. Shapes (k, m), (k, m)."""
-    plus, minus = values(at, Z + DIFFERENCE * D), values(at, Z - DIFFERENCE * D)
+    plus, minus = _moved(values, at, Z, D, (DIFFERENCE, -DIFFERENCE))
     central = (plus - minus) / (2.0 * DIFFERENCE)
     gap = np.abs(slope - central)
-    same = gap <= _AGREE * scale + _ROUNDING / DIFFERENCE * np.maximum(np.abs(plus), np.abs(minus))
+    same = gap <= _AGREE * scale + _ROUNDING / DIFFERENCE * _size(plus, minus, parts)
     return np.isfinite(central) & ~(same & np.isfinite(slope)), gap
 
 
 def _examine(
-    values: Values, at: NDArray[np.intp], Z: Array, D: Array, slope: Array, scale: Array, gap: Array
+    values: Values,
+    at: NDArray[np.intp],
+    Z: Array,
+    D: Array,
+    slope: Array,
+    scale: Array,
+    parts: Array,
+    gap: Array,
 ) -> NDArray[np.bool_]:
     """Look closer at points where `_compare` found gaps: whether nothing explains them. Shape (k, m)."""
-    here, wrong = values(at, Z), np.ones(slope.shape, dtype=bool)
-    for e in (DIFFERENCE, *_OTHER_STEPS):
-        plus, minus = values(at, Z + e * D), values(at, Z - e * D)
+    sizes, wrong = (DIFFERENCE, *_OTHER_STEPS), np.ones(slope.shape, dtype=bool)
+    here, *beside = _moved(values, at, Z, D, (0.0, *sizes, *(-e for e in sizes)))
+    for e, plus, minus in zip(sizes, beside[: len(sizes)], beside[len(sizes) :], strict=True):
         sides = np.sort([(plus - here) / e, (here - minus) / e], axis=0)
-        rounding = _ROUNDING / e * np.maximum(np.abs(plus), np.abs(minus))
+        rounding = _ROUNDING / e * _size(plus, minus, parts)
         allowed = _AGREE * scale + rounding
         between = (sides[0] - allowed <= slope) & (slope <= sides[1] + allowed) & (e <= DIFFERENCE)  # of a kink
         same = np.abs(slope - 0.5 * (sides[0] + sides[1])) <= np.maximum(allowed, 0.1 * gap)
         wrong &= ~((between | same) & np.isfinite(slope) & (rounding < 0.1 * gap))
     return wrong
+
+
+def _size(plus: Array, minus: Array, parts: Array) -> Array:
+    """Size of the numbers whose rounding is in a difference. Shape (k, m)."""
+    size: Array = np.maximum(np.maximum(np.abs(plus), np.abs(minus)), np.where(np.isfinite(parts), parts, 0.0))
+    return size

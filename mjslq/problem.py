@@ -54,7 +54,8 @@ class Problem:
     name: str = "problem"
     """For titles and messages."""
     U0: ArrayLike | None = None
-    """Controls to start from, clipped to the limits; zero unless given. Shape (nu,) | (N, nu)."""
+    """Controls to start from, clipped to the limits; the engine's `initial_control`, zero for most, unless given.
+    Shape (nu,) | (N, nu)."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """Options that `solve` takes for this problem unless told otherwise, such as its stopping tolerance, as far as
     the method has them. A name that no method has is refused."""
@@ -78,7 +79,7 @@ class Problem:
         dynamics.steps(N)
         store = object.__setattr__  # the way to fill a frozen record
         store(self, "x0", frozen(np.array(dynamics.checked_start(self.x0))))
-        U0 = np.zeros(dynamics.nu) if self.U0 is None else as_array("U0", self.U0)
+        U0 = dynamics.initial_control if self.U0 is None else as_array("U0", self.U0)
         if U0.shape not in ((dynamics.nu,), (N, dynamics.nu)):
             raise ValueError(f"U0 must have shape ({dynamics.nu},) or ({N}, {dynamics.nu}), got {U0.shape}")
         bounds = Bounds() if self.bounds is None else self.bounds

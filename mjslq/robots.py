@@ -77,10 +77,12 @@ def robot_spec(
         Add a ground plane at height zero, and a light.
     armature
         Rotor inertia of every joint with one axis. [kg m^2 or kg]
+
+    Meshes that MuJoCo cannot read (the package has many in .dae) are left out without a warning, as they are known.
     """
     from mjslq.dynamics.mujoco.files import urdf_spec
 
-    return urdf_spec(robot_path(name), floating=floating, motors=motors, floor=floor, armature=armature)
+    return urdf_spec(robot_path(name), floating=floating, motors=motors, floor=floor, armature=armature, silent=True)
 
 
 @functools.cache

@@ -23,6 +23,7 @@ URDF = """
 </robot>"""
 
 
+@pytest.mark.filterwarnings("ignore:.*the visual mesh:UserWarning")  # .dae, which MuJoCo cannot read
 @pytest.mark.parametrize("name, joints", [("panda", 9), ("solo12", 12), ("g1", 29), ("ur5", 6)])
 def test_robots_load(name, joints):
     dynamics = MujocoDynamics.from_path(robot_path(name), timestep=0.005)
@@ -47,7 +48,8 @@ def test_floating_base_floor_and_armature():
 
 def test_a_urdf_gets_motors_limited_by_effort_and_loses_unreadable_meshes(tmp_path):
     (tmp_path / "one.urdf").write_text(URDF)
-    dynamics = MujocoDynamics.from_path(tmp_path / "one.urdf")
+    with pytest.warns(UserWarning, match=r"^one.urdf: the visual mesh 'package://nowhere/arm.dae' .*packages"):
+        dynamics = MujocoDynamics.from_path(tmp_path / "one.urdf")
     assert dynamics.control_names == ("hinge",) and dynamics.name == "one"
     np.testing.assert_array_equal(dynamics.control_limits, [[-7, 7]])
     model = dynamics.model
@@ -79,6 +81,7 @@ def test_masses_are_those_of_the_file():
     assert 15.0 < model.body_mass.sum() < 25.0
 
 
+@pytest.mark.filterwarnings("ignore:.*the visual mesh:UserWarning")  # .dae, which MuJoCo cannot read
 @pytest.mark.parametrize("name", ["ur5", "solo12", "g1", "z1"])
 def test_accelerations_are_pinocchios(name):
     pin = pytest.importorskip("pinocchio")

@@ -91,6 +91,11 @@ class Dynamics(ABC):
             found[owner] = Output(slice(start, i + 1))
         return found
 
+    @property
+    def initial_control(self) -> Array:
+        """Controls that a problem starts from unless told otherwise: those of an engine at rest. Shape (nu,)."""
+        return np.zeros(self.nu)
+
     def rollout(self, x0: ArrayLike, U: ArrayLike) -> Trajectory:
         """Simulate from `x0` (nx,) under the controls `U` (N, nu); raises ValueError when they are not that."""
         return self.rollouts(self.checked_start(x0)[None], self.checked_controls(U)[None])[0]

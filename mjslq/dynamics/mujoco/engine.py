@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from mjslq.dynamics.mujoco.inverse.curvature.hessians import InverseHessians
     from mjslq.dynamics.mujoco.inverse.jacobians import InverseJacobians
     from mjslq.dynamics.mujoco.inverse.runge_kutta import RungeKuttaJacobians
+    from mjslq.dynamics.mujoco.meshes import Packages
     from mjslq.dynamics.mujoco.simulator import Simulator
     from mjslq.dynamics.mujoco.step_differences import OneSided
 
@@ -124,17 +125,21 @@ class MujocoDynamics(Dynamics):
         substeps: int = 1,
         jacobian: str = "auto",
         threads: int | None = None,
+        packages: Packages = None,
         **options: Any,
     ) -> MujocoDynamics:
         """Read an MJCF (.xml), URDF (.urdf) or binary (.mjb) file; see the class for the options.
 
         A URDF has no actuators: each joint gets a motor. `mjslq.robots.robot_spec` gives more say over that,
-        and a floating base.
+        and a floating base. Its meshes at package://name/... are looked for in `packages` (a folder that holds
+        packages or is one, several, or folders by name), above the file, in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH;
+        those that are left out are warned of.
         """
-        from mjslq.dynamics.mujoco.files import load_model
+        from mjslq.dynamics.mujoco.files import check_kind, load_model
         from mjslq.dynamics.mujoco.names import model_name
 
-        model = load_model(path)
+        check_kind("from_path", path)
+        model = load_model(path, packages)
         options.setdefault("name", model_name(model) or Path(path).stem)
         return cls(model, timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options)
 
@@ -166,8 +171,9 @@ class MujocoDynamics(Dynamics):
         **options: Any,
     ) -> MujocoDynamics:
         """Compile a copy of an `MjSpec`; see the class for the options."""
-        from mjslq.dynamics.mujoco.files import compiled
+        from mjslq.dynamics.mujoco.files import check_kind, compiled
 
+        check_kind("from_spec", spec)
         return cls(
             compiled(spec.copy()), timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options
         )
@@ -183,6 +189,9 @@ class MujocoDynamics(Dynamics):
         **options: Any,
     ) -> MujocoDynamics:
         """Copy a compiled `MjModel`; see the class for the options."""
+        from mjslq.dynamics.mujoco.files import check_kind
+
+        check_kind("from_model", model)
         return cls(model, timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options)
 
     def __repr__(self) -> str:
@@ -192,6 +201,13 @@ class MujocoDynamics(Dynamics):
     def initial_state(self) -> Array:
         """The model's reference configuration qpos0, at rest, activations zero. Shape (nx,)."""
         return np.concatenate([self.model.qpos0, np.zeros(self.model.nv + self.model.na)])
+
+    @property
+    def initial_control(self) -> Array:
+        """See `Dynamics.initial_control`: zero, but the identity where an orientation is set by a quaternion."""
+        from mjslq.dynamics.mujoco.states import reset_controls
+
+        return reset_controls(self.model)
 
     @property
     def keyframe_names(self) -> tuple[str, ...]:

@@ -2,11 +2,10 @@
 
 MuJoCo compiles URDF, with gaps that are closed here before it sees the text:
 
-    package://name/...   is looked up in the folders above the file (ROS is not asked);
-    meshes               that MuJoCo cannot read (it has no Collada decoder) are left out: a visual one costs looks,
-                         a collision one its contacts;
+    meshes               are found, or left out with a warning: see `meshes`;
     inertias             come from <inertial> alone: links without one weigh nothing (MuJoCo asks for a little, so
                          1e-12 kg), and tensors that are not positive definite are raised to 1e-12 kg m^2;
+                         a joint that moves nothing but such links is refused;
     the base             is fixed to the world, as the format has it, or floats on a free joint;
     actuators            are added: URDF has none. Each joint with one axis gets a motor of its own name, gear 1,
                          whose control is the joint's torque [Nm] or force [N], with the joint's effort limit as
@@ -16,6 +15,7 @@ MuJoCo compiles URDF, with gaps that are closed here before it sees the text:
 from __future__ import annotations
 
 import struct
+import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +26,7 @@ import numpy as np
 
 from mjslq.dynamics.mujoco.checks import refuse_callbacks
 from mjslq.dynamics.mujoco.library import quiet
+from mjslq.dynamics.mujoco.meshes import Packages, resolve_meshes
 
 Made = TypeVar("Made")
 _LEAST_INERTIA = 1e-12
@@ -33,37 +34,72 @@ _COMPILER = {
     "strippath": "false", "fusestatic": "false", "discardvisual": "false", "balanceinertia": "true",
     "boundmass": str(_LEAST_INERTIA), "boundinertia": str(_LEAST_INERTIA),
 }  # fmt: skip
+_CONSTRUCTORS: dict[str, tuple[str, tuple[type, ...]]] = {
+    "from_path": ("the path of an .xml, .urdf or .mjb file", (str, Path)),
+    "from_xml": ("MJCF text", (str,)),
+    "from_spec": ("an mujoco.MjSpec", (mujoco.MjSpec,)),
+    "from_model": ("a compiled mujoco.MjModel", (mujoco.MjModel,)),
+}
+"""What the constructors of `MujocoDynamics` take, in words and as types."""
+_MJB_MARK, _MJB_HEAD = 54321, struct.Struct("<4i")
+"""First number of an MJB file, and its head: mark, size of numbers, count of sizes, version."""
+_LEAST_MOVED = 1e-10
+"""Inertia [kg m^2 or kg] below which a joint of a URDF moves nothing."""
 _TENSOR = ((0, 0, "ixx"), (1, 1, "iyy"), (2, 2, "izz"), (0, 1, "ixy"), (0, 2, "ixz"), (1, 2, "iyz"))
 
 
-def load_model(path: str | Path) -> mujoco.MjModel:
-    """Compile the model file `path` (.xml, .urdf, .mjb).
+def load_model(path: str | Path, packages: Packages = None) -> mujoco.MjModel:
+    """Compile the model file `path` (.xml, .urdf, .mjb); `packages` as in `urdf_spec`.
 
     Raises ValueError, in one sentence, when there is no such file or MuJoCo cannot make a model of it.
     """
     file = existing_file(path)
     if file.suffix.lower() == ".mjb":
+        _refuse_other_version(file)
         return _explained(file, lambda: mujoco.MjModel.from_binary_path(str(file)))
-    return compiled(load_spec(file), file)
+    root = _xml_root(file)
+    model = compiled(load_spec(file, packages), file)
+    if root.tag == "robot":
+        _refuse_massless(model, root, file)
+    return model
 
 
-def load_spec(path: str | Path) -> mujoco.MjSpec:
+def load_spec(path: str | Path, packages: Packages = None) -> mujoco.MjSpec:
     """Read the MJCF or URDF file `path` into a specification that can still be edited; errors as `load_model`."""
     file = existing_file(path)
     root = _xml_root(file)
     if root.tag == "robot":
-        return urdf_spec(file)
+        return urdf_spec(file, packages=packages)
     return _explained(file, lambda: mujoco.MjSpec.from_file(str(file)))
 
 
 def model_of_text(text: str) -> mujoco.MjModel:
     """Compile MJCF text; errors as `load_model`."""
+    check_kind("from_xml", text)
     return compiled(_explained("the XML text", lambda: mujoco.MjSpec.from_string(text)), "the XML text")
 
 
 def compiled(spec: mujoco.MjSpec, source: object = "the model") -> mujoco.MjModel:
     """Compile `spec`; raises ValueError in one sentence that names `source`."""
     return _explained(source, spec.compile)
+
+
+def check_kind(constructor: str, given: object) -> None:
+    """Raise ValueError, which names the right constructor, when `given` is for another one."""
+    takes, kinds = _CONSTRUCTORS[constructor]
+    if isinstance(given, mujoco.MjModel):
+        kind, right = "a compiled MjModel", "from_model"
+    elif isinstance(given, mujoco.MjSpec):
+        kind, right = "an MjSpec", "from_spec"
+    elif isinstance(given, Path) or (isinstance(given, str) and "<" not in given):
+        kind, right = f"the path {str(given)!r}", "from_path"
+    elif isinstance(given, str):
+        kind, right = "XML text", "from_xml"
+    else:
+        kind, right = type(given).__name__, ""
+    if right != constructor or not isinstance(given, kinds):
+        remedy = f"; use MujocoDynamics.{right}" if right else ""
+        raise ValueError(f"{constructor} takes {takes}, got {kind}{remedy}")
 
 
 def existing_file(path: str | Path) -> Path:
@@ -76,7 +112,14 @@ def existing_file(path: str | Path) -> Path:
 
 
 def urdf_spec(
-    path: str | Path, *, floating: bool = False, motors: bool = True, floor: bool = False, armature: float = 0.0
+    path: str | Path,
+    *,
+    floating: bool = False,
+    motors: bool = True,
+    floor: bool = False,
+    armature: float = 0.0,
+    packages: Packages = None,
+    silent: bool = False,
 ) -> mujoco.MjSpec:
     """Read a URDF file into a specification that can still be edited.
 
@@ -92,6 +135,11 @@ def urdf_spec(
         Add a ground plane at height zero, and a light.
     armature
         Rotor inertia added to every hinge and slide joint. [kg m^2 or kg]  Small robots need some for stable steps.
+    packages
+        Where package://name/... is: a folder that holds packages or is one, several, or a mapping from names to
+        folders. Folders above the file, ROS_PACKAGE_PATH and AMENT_PREFIX_PATH are looked through besides.
+    silent
+        Do not warn of meshes that are left out.
 
     Returns
     -------
@@ -108,7 +156,7 @@ def urdf_spec(
     if root.tag != "robot":
         raise ValueError(f"{file.name} is no URDF file: its outermost element is <{root.tag}>, not <robot>")
     _set_compiler(root)
-    _resolve_meshes(root, file)
+    resolve_meshes(root, file, packages, silent)
     _mend_inertias(root)
     text = ElementTree.tostring(root, encoding="unicode")
     spec = _explained(file, lambda: mujoco.MjSpec.from_string(text))
@@ -131,11 +179,65 @@ def _explained(source: object, make: Callable[[], Made]) -> Made:
     name = source.name if isinstance(source, Path) else source
     refuse_callbacks()  # compiling runs them
     try:
-        with quiet():
-            return make()
+        with quiet(), warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            made = make()
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split()).removeprefix("Error: ").removeprefix("XML Error: ")
         raise ValueError(f"MuJoCo cannot make a model of {name}: {reason or 'no reason given'}") from None
+    for warning in said:
+        text = " ".join(str(warning.message).split()).removeprefix("WARNING: ").removeprefix("Warning: ")
+        warnings.warn(f"MuJoCo on {name}: {text}", stacklevel=3)
+    return made
+
+
+def _refuse_other_version(file: Path) -> None:
+    """Raise ValueError, which names both versions, for a binary model of another MuJoCo."""
+    with file.open("rb") as stream:
+        head = stream.read(_MJB_HEAD.size)
+    if len(head) < _MJB_HEAD.size or _MJB_HEAD.unpack(head)[0] != _MJB_MARK:
+        raise ValueError(f"MuJoCo cannot make a model of {file.name}: it is no binary model (.mjb)")
+    theirs, ours = _MJB_HEAD.unpack(head)[3], mujoco.mj_version()
+    if theirs != ours:
+        raise ValueError(
+            f"{file.name} was written by MuJoCo {_version(theirs)} and MuJoCo {_version(ours)} is installed, which "
+            f"reads only its own .mjb files; save it anew from the .xml"
+        )
+
+
+def _version(number: int) -> str:
+    """What an mjVERSION_HEADER stands for: 4000000 is 4.0.0, and before that 332 was 3.3.2."""
+    parts = (number // 10**6, number // 1000 % 1000, number % 1000)
+    if number < 10**6:
+        parts = (number // 100, number // 10 % 10, number % 10)
+    return ".".join(map(str, parts))
+
+
+def _refuse_massless(model: mujoco.MjModel, root: ElementTree.Element, file: Path) -> None:
+    """Raise ValueError for a joint that moves no mass, which has no acceleration, and name the links that lack some."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_crb(model, data)
+    M = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, M)
+    for j in np.flatnonzero(np.diagonal(M) < _LEAST_MOVED):
+        joint = model.joint(int(model.dof_jntid[j]))
+        bare = [link.get("name", "") for link in root.iter("link") if link.find("inertial") is None]
+        moved = [name for name in bare if name and _carries(model, int(joint.bodyid[0]), name)]
+        links = f" (without <inertial>: {', '.join(moved)})" if moved else ""
+        raise ValueError(
+            f"{file.name}: joint {joint.name!r} moves no mass{links}; give its link an <inertial>, make the joint "
+            f"fixed, or give it armature by mjslq.dynamics.mujoco.files.urdf_spec(path, armature=)"
+        )
+
+
+def _carries(model: mujoco.MjModel, body: int, name: str) -> bool:
+    """Whether the body `name` is `body` or hangs on it."""
+    at = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    while at > 0 and at != body:
+        at = int(model.body_parentid[at])
+    return at == body
 
 
 def _xml_root(file: Path) -> ElementTree.Element:
@@ -157,41 +259,6 @@ def _set_compiler(root: ElementTree.Element) -> None:
         compiler = ElementTree.SubElement(extension, "compiler")
     for name, value in _COMPILER.items():
         compiler.attrib.setdefault(name, value)
-
-
-def _resolve_meshes(root: ElementTree.Element, file: Path) -> None:
-    """Make mesh paths absolute, and drop what MuJoCo cannot read or what is not there."""
-    for link in root.iter("link"):
-        for element in link.findall("visual") + link.findall("collision"):
-            element.attrib.pop("name", None)  # often given twice, which MuJoCo complains of
-            mesh = element.find("geometry/mesh")
-            if mesh is None:
-                continue
-            found = _mesh_file(mesh.get("filename", ""), file)
-            if found is None or not _is_readable(found):
-                link.remove(element)
-            else:
-                mesh.set("filename", str(found))
-
-
-def _mesh_file(name: str, file: Path) -> Path | None:
-    """Where a mesh lies: beside the URDF, or in the package named in its address."""
-    if name.startswith("package://"):
-        package, _, rest = name.removeprefix("package://").partition("/")
-        above = file.parents
-        places = [a / rest for a in above if a.name == package] + [a / package / rest for a in above]
-    else:
-        places = [file.parent / name.removeprefix("file://")]
-    return next((place for place in places if place.is_file()), None)
-
-
-def _is_readable(mesh: Path) -> bool:
-    """Whether MuJoCo can decode a mesh file: OBJ, MSH and binary STL, whose length follows from its head."""
-    if mesh.suffix.lower() != ".stl":
-        return mesh.suffix.lower() in (".obj", ".msh")
-    with mesh.open("rb") as stream:
-        head = stream.read(84)
-    return len(head) == 84 and mesh.stat().st_size == 84 + 50 * struct.unpack("<I", head[80:])[0]
 
 
 def _mend_inertias(root: ElementTree.Element) -> None:

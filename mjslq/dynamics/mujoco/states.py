@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import mujoco
+import numpy as np
 
 from mjslq.lie_groups import ROTATION
 from mjslq.manifold import StateSpace
+from mjslq.validation import Array
 
 
 def state_space(model: mujoco.MjModel) -> StateSpace:
@@ -18,3 +20,8 @@ def state_space(model: mujoco.MjModel) -> StateSpace:
         elif kind == mujoco.mjtJoint.mjJNT_BALL:
             rotations.append((ROTATION, range(x, x + 4), range(dx, dx + 3)))
     return StateSpace.of(model.nq + model.nv + model.na, 2 * model.nv + model.na, rotations)
+
+
+def reset_controls(model: mujoco.MjModel) -> Array:
+    """Controls of a new mjData: zero, but quaternions at the identity. Shape (nu,)."""
+    return np.array(mujoco.MjData(model).ctrl)

@@ -29,7 +29,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from mjslq.dynamics.dynamics import Dynamics, Feedback, Linearization, Output
-from mjslq.dynamics.locked_joints import LockedJoints, locked_positions
+from mjslq.dynamics.locked_joints import LockedJoints
 from mjslq.dynamics.pinocchio import models
 from mjslq.dynamics.pinocchio.outputs import Readings
 from mjslq.dynamics.pinocchio.states import state_space
@@ -112,17 +112,22 @@ class PinocchioDynamics(Dynamics):
         outputs: Sequence[str] = (),
         *,
         floating_base: bool = False,
+        packages: Any = None,
         **options: Any,
     ) -> PinocchioDynamics:
         """Read a URDF file; `floating_base` frees its root link, as a joint named "root". See the class for the rest.
 
-        A viewer draws the robot as MuJoCo reads the same file.
+        A viewer draws the robot as MuJoCo reads the same file, with meshes of `packages` as in
+        `MujocoDynamics.from_path`. A joint that mimics a locked one is locked with it; one that mimics a free joint is
+        refused.
         """
-        model = models.load_urdf(path, floating_base)
-        file, locked = Path(path).expanduser().resolve(), locked_positions(locked_joints)
+        if isinstance(path, pin.Model):
+            raise ValueError("from_path takes the path of a .urdf file, got a pinocchio.Model; from_model takes that")
+        model, locked = models.load_urdf(path, floating_base), models.lock_followers(path, locked_joints)
+        file = Path(path).expanduser().resolve()
         options.setdefault("name", file.stem)
-        options.setdefault("scene", partial(_scene_of_file, file, floating_base, locked))
-        return cls(model, timestep, locked_joints, outputs, **options)
+        options.setdefault("scene", partial(_scene_of_file, file, floating_base, locked, packages))
+        return cls(model, timestep, locked, outputs, **options)
 
     @classmethod
     def from_model(
@@ -136,6 +141,12 @@ class PinocchioDynamics(Dynamics):
         """Copy a `pinocchio.Model`; see the class for the options. `scene` tells a viewer what to draw."""
         if not isinstance(model, pin.Model):
             raise ValueError(f"model must be a pinocchio.Model, got {type(model).__name__}; from_path takes a file")
+        if list(model.mimicking_joints):
+            name = model.names[model.mimicking_joints[0]]
+            raise ValueError(
+                f"joint {name!r} mimics another, which Pinocchio's articulated-body algorithm cannot; build the model "
+                f"without mimic joints, or use MujocoDynamics, which ties them"
+            )
         return cls(model, timestep, locked_joints, outputs, **options)
 
     def __repr__(self) -> str:
@@ -252,6 +263,6 @@ class PinocchioDynamics(Dynamics):
 
 
 def _scene_of_file(
-    file: Path, floating_base: bool, locked: dict[str, float], dynamics: PinocchioDynamics
+    file: Path, floating_base: bool, locked: dict[str, float], packages: Any, dynamics: PinocchioDynamics
 ) -> Scene | None:
-    return models.viewer_scene(file, dynamics.model, floating_base, locked, dynamics.name)
+    return models.viewer_scene(file, dynamics.model, floating_base, locked, dynamics.name, packages)

@@ -32,6 +32,42 @@ _VELOCITIES = {
 
 def load_urdf(path: str | Path, floating_base: bool) -> Any:
     """Read a URDF file; raises ValueError in one sentence when there is none, or Pinocchio cannot read it."""
+    file, root = _read(path)
+    _turn_continuous(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    base = (pin.JointModelFreeFlyer(), ROOT) if floating_base else ()
+    try:
+        return pin.buildModelFromXML(text, *base)
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"Pinocchio cannot make a model of {file.name}: {reason}") from None
+
+
+def lock_followers(path: str | Path, joints: LockedJoints | None) -> dict[str, float]:
+    """Joints to lock and where, with those that mimic a locked one: at multiplier x its position + offset.
+
+    Raises ValueError for a joint that mimics a free one: Pinocchio's articulated-body algorithm has no such joints.
+    """
+    locked, (file, root) = locked_positions(joints), _read(path)
+    mimics = {joint.get("name", ""): joint.find("mimic") for joint in root.findall("joint")}
+    waiting = {name: mimic for name, mimic in mimics.items() if mimic is not None and name not in locked}
+    for _ in range(len(waiting)):  # followers may have followers
+        for name, mimic in waiting.items():
+            leader = mimic.get("joint", "")
+            if leader in locked and name not in locked:
+                locked[name] = float(mimic.get("multiplier", 1.0)) * locked[leader] + float(mimic.get("offset", 0.0))
+    for name, mimic in waiting.items():
+        if name not in locked:
+            leader = mimic.get("joint", "")
+            raise ValueError(
+                f"{file.name}: joint {name!r} mimics {leader!r}, which Pinocchio's articulated-body algorithm cannot; "
+                f"lock one of them (locked_joints=({leader!r},)), or use MujocoDynamics, which ties them"
+            )
+    return locked
+
+
+def _read(path: str | Path) -> tuple[Path, ElementTree.Element]:
+    """A URDF file, and its outermost element."""
     file = Path(path).expanduser()
     if not file.is_file():
         kind = "is a folder" if file.is_dir() else "does not exist"
@@ -42,14 +78,7 @@ def load_urdf(path: str | Path, floating_base: bool) -> Any:
         raise ValueError(f"Pinocchio cannot make a model of {file.name}: it is no valid XML ({error})") from None
     if root.tag != "robot":
         raise ValueError(f"{file.name} is no URDF file: its outermost element is <{root.tag}>, not <robot>")
-    _turn_continuous(root)
-    text = ElementTree.tostring(root, encoding="unicode")
-    base = (pin.JointModelFreeFlyer(), ROOT) if floating_base else ()
-    try:
-        return pin.buildModelFromXML(text, *base)
-    except (ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise ValueError(f"Pinocchio cannot make a model of {file.name}: {reason}") from None
+    return file, root
 
 
 def lock(model: Any, joints: LockedJoints | None) -> Any:
@@ -124,17 +153,25 @@ def refuse_massless(model: Any) -> None:
     inertia = np.diagonal(pin.crba(model, model.createData(), pin.neutral(model)))
     for j in range(1, model.njoints):
         if not (inertia[model.idx_vs[j] : model.idx_vs[j] + model.nvs[j]] > 0.0).all():
-            raise ValueError(f"joint {model.names[j]!r} moves no mass; lock it, or give it armature")
+            moved = {int(i) for i in model.subtrees[j]}
+            links = [f.name for f in model.frames if f.type == pin.FrameType.BODY and int(f.parentJoint) in moved]
+            named = f" (links without inertia: {', '.join(links)})" if links else ""
+            raise ValueError(f"joint {model.names[j]!r} moves no mass{named}; lock it, or give it armature")
 
 
-def viewer_scene(path: Path, model: Any, floating_base: bool, locked: dict[str, float], name: str) -> Scene | None:
-    """The robot as MuJoCo reads it, its joints matched by name; None where MuJoCo cannot read the file."""
+def viewer_scene(
+    path: Path, model: Any, floating_base: bool, locked: dict[str, float], name: str, packages: Any = None
+) -> Scene | None:
+    """The robot as MuJoCo reads it, its joints matched by name; None where MuJoCo cannot read the file.
+
+    Meshes that are left out are not warned of: nothing hangs on them here but looks.
+    """
     import mujoco
 
     from mjslq.dynamics.mujoco.files import compiled, urdf_spec
 
     try:
-        spec = urdf_spec(path, floating=floating_base, motors=False)
+        spec = urdf_spec(path, floating=floating_base, motors=False, packages=packages, silent=True)
         lock_spec(spec, locked)
         drawn = compiled(spec, path)
     except ValueError:
