@@ -181,7 +181,8 @@ class Residual(CostTerm):
     when: When = "running"
     """Where it acts; see `mjslq.knots.When`."""
     jacobian: Callable[..., Any] | None = None
-    """jacobian(x, u, t) -> (dr/dx (m, nx), dr/du (m, nu)); by complex step unless given."""
+    """jacobian(x, u, t) -> (dr/dx (m, nx), dr/du (m, nu)); by complex steps unless given, and by real differences, with
+    a warning, where those show that r is not analytic."""
     parameters: ArrayLike | None = field(default=None, kw_only=True)
     """p, handed through to r(x, u, t, p) (and its derivatives) if given: for compiled functions whose constants change
     between problems, which then need not be compiled again. Shape (size,)."""
@@ -216,7 +217,8 @@ class Function(CostTerm):
     when: When = "running"
     """Where it acts; see `mjslq.knots.When`."""
     gradient: Callable[..., Any] | None = None
-    """gradient(x, u, t) -> (dl/dx (nx,), dl/du (nu,)); by complex step unless given."""
+    """gradient(x, u, t) -> (dl/dx (nx,), dl/du (nu,)); by complex steps unless given, and by real differences, with a
+    warning, where those show that l is not analytic."""
     hessian: Callable[..., Any] | None = None
     """hessian(x, u, t) -> (nx + nu, nx + nu); by differences of the gradient unless given."""
     parameters: ArrayLike | None = field(default=None, kw_only=True)
