@@ -213,9 +213,7 @@ def test_auto_takes_constraints_and_says_so_and_others_refuse():
     problem = bryson_denham()
     assert "'constrained', since the problem has constraints" in solve(problem, max_iterations=1).message
     for method in ("slq", "newton", "gradient", "trust-region", "ilqr"):
-        with pytest.raises(
-            ValueError, match="but the problem has 'wall', 'goal'; these do: auto"
-        ):
+        with pytest.raises(ValueError, match="but the problem has 'wall', 'goal'; these do: auto"):
             solve(problem, method)
     with pytest.raises(ValueError, match="tol_violation must be"):
         solve(problem, tol_violation=0.0)

@@ -14,7 +14,8 @@ Rounds
     2  lambda <- lambda+;  rho <- 10 rho where e has not fallen below a quarter of its last value
     3  t <- max(`LEAST_T`, min(0.3 t, 0.01 e))
 
-from rho = 0.1 s and t = 0.01. Low weights first: where obstacles are in the way, a start that lies beyond one of them
+Where no step descends, kinks of the losses are in the way: then the round goes on with a tenth of rho, and lambda stays.
+Rounds begin with rho = 0.1 s and t = 0.01. Low weights first: where obstacles are in the way, a start that lies beyond one of them
 can still be pushed to either side. The solve ends when all constraints are met within `tol_violation`, e is as small,
 and L has no slope left by the tests that all methods share: at such a point the gradient of L is the one of the
 Lagrangian. Where the constraints are met, rounds end no more.
@@ -37,6 +38,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjslq.lq.box import Box
+from mjslq.lq.problem import LQProblem, NotPositiveDefinite
+from mjslq.lq.regularize import damped
 from mjslq.options import ConstrainedOptions
 from mjslq.solvers.augmented import Augmented, scales_of, zero_multipliers
 from mjslq.solvers.auto import Auto
@@ -60,7 +64,7 @@ RESTARTS, LIGHTER, HEAVIER = 2, 0.1, 100.0
 LEAST_SHARE = 1e-3
 """Least size of the cost, relative to that of the start."""
 FAILURES = 4
-"""Rounds in a row without a step, at most."""
+"""Times in a row that no step descends, at most; each time the weight is divided by `GROW`."""
 
 
 class Best(NamedTuple):
@@ -125,7 +129,7 @@ class Constrained(Method):
                 return Step(None, rollouts=step.rollouts, status=Status.CONVERGED)
             if self._failures > FAILURES:
                 return step
-            return self._next_round(here, step.rollouts)
+            return self._next_round(here, step.rollouts) if small or lost else self._soften(here, step.rollouts)
         self._failures = 0
         self._keep(step.iterate)
         return step
@@ -197,6 +201,14 @@ class Constrained(Method):
         self._keep(there)
         return Step(there, rollouts=rollouts, rejected=True)
 
+    def _soften(self, here: Iterate, rollouts: int) -> Step:
+        """The same round with a smaller weight, where no step descends: kinks of the losses are in the way."""
+        augmented = self._round
+        multipliers, rho = augmented.multipliers, augmented.rho / GROW
+        self._augmented = Augmented.of(augmented.problem, multipliers, augmented.scales, rho)
+        self._iterations = 0
+        return Step(self._augmented.about(here), rollouts=rollouts, rejected=True)
+
     def _give_up(self, here: Iterate, rollouts: int) -> Step:
         """Start anew with a smaller penalty, or call the problem infeasible."""
         if self._restarts < RESTARTS:
@@ -226,7 +238,8 @@ class Constrained(Method):
 
 
 def cost_size(start: Iterate, scales: tuple[Array, ...]) -> float:
-    """s: what a step towards the constraints costs, at most the cost of the start; that, where they are met.
+    """s: what a step towards the constraints costs, at most the cost of the start; where they are met, the least cost
+    that the model at the start expects.
 
     The step is the one of steepest descent, in the metric of the control weights, of half the squared violations. Too
     small a size takes a few rounds more, too large a one may end at the wrong side of an obstacle.
@@ -243,8 +256,17 @@ def cost_size(start: Iterate, scales: tuple[Array, ...]) -> float:
     length = -0.5 * float(np.vdot(slope, U)) / violations if violations > 0.0 else 0.0
     price, at_start = length * length * own, abs(start.cost)
     if not 0.0 < price < np.inf:
-        return at_start or 1.0
+        return max(abs(start.cost + _decrease(cost, start.box)), LEAST_SHARE * at_start) or 1.0
     return min(max(price, LEAST_SHARE * at_start), at_start or np.inf)
+
+
+def _decrease(model: LQProblem, box: Box) -> float:
+    """Change of the cost from the start to its model's minimizer."""
+    try:
+        lq = damped(model, box).found.lq
+    except NotPositiveDefinite:
+        return 0.0
+    return model.value(lq.X, lq.U)
 
 
 def _fixed(start: Iterate, tol: float) -> str:
