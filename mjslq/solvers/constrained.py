@@ -14,16 +14,19 @@ Rounds
     2  lambda <- lambda+;  rho <- 10 rho where e has not fallen below a quarter of its last value
     3  t <- max(`LEAST_T`, min(0.3 t, 0.01 e))
 
-Where no step descends, kinks of the losses are in the way: then the round goes on with a tenth of rho, and lambda stays.
-Rounds begin with rho = 0.1 s and t = 0.01. Low weights first: where obstacles are in the way, a start that lies beyond one of them
-can still be pushed to either side. The solve ends when all constraints are met within `tol_violation`, e is as small,
-and L has no slope left by the tests that all methods share: at such a point the gradient of L is the one of the
-Lagrangian. Where the constraints are met, rounds end no more.
+from rho = 0.1 s and t = 0.01. Low weights first: where obstacles are in the way, a start that lies beyond one of them
+can still be pushed to either side. Where no step descends, kinks of the losses are in the way: then the round goes on
+with a tenth of rho, and lambda stays.
+
+The solve ends when all constraints are met within `tol_violation`, e is as small, and L has no slope left by the tests
+that all methods share: at such a point the gradient of L is the one of the Lagrangian. Where the constraints are met,
+rounds end no more.
 
 Infeasible: e above 0.9 of its least value in `STALLED` rounds, and rho at least 1e4 s. Then the solve starts anew from
-its start, twice at most, and then says so. It starts with a tenth of the first rho, or, from a start that meets the
-constraints, with a hundred times as much: there the first round went astray, such as through a wall. This is a local
-verdict: the iterate is a stationary point of the violation, and there may be another way.
+its start, twice at most, and then says so; it starts anew, too, where no step descends with any weight. It starts with
+a tenth of the first rho, or, from a start that meets the constraints, with a hundred times as much, and of the cost of
+the start: there the first round went astray, such as through a wall. This is a local verdict: the iterate is a
+stationary point of the violation, and there may be another way.
 
 Each constraint's entry is scaled by the largest gradient that it has along the start. Limits of the controls are no
 part of this: the sweeps keep to them exactly.
@@ -128,7 +131,7 @@ class Constrained(Method):
                 self._said = "The decrease that a step could bring is lost in rounding."
                 return Step(None, rollouts=step.rollouts, status=Status.CONVERGED)
             if self._failures > FAILURES:
-                return step
+                return step if accepted or self._restarts == RESTARTS else self._give_up(here, step.rollouts)
             return self._next_round(here, step.rollouts) if small or lost else self._soften(here, step.rollouts)
         self._failures = 0
         self._keep(step.iterate)
@@ -214,6 +217,8 @@ class Constrained(Method):
         if self._restarts < RESTARTS:
             self._restarts += 1
             self._first_rho *= HEAVIER if self._start_is_met else LIGHTER
+            if self._start_is_met:  # as heavy as it takes to let nothing pass that lowers the cost
+                self._first_rho = max(self._first_rho, HEAVIER * abs(self._start.cost))
             return Step(self._restart(), rollouts=rollouts, rejected=True)
         best = here if self._best is None else self._best.iterate
         self._said = _verdict(best, self.options.tol_violation)
@@ -238,11 +243,11 @@ class Constrained(Method):
 
 
 def cost_size(start: Iterate, scales: tuple[Array, ...]) -> float:
-    """s: what a step towards the constraints costs, at most the cost of the start; where they are met, the least cost
-    that the model at the start expects.
+    """s: what a step towards the constraints costs, at most the cost of the start.
 
-    The step is the one of steepest descent, in the metric of the control weights, of half the squared violations. Too
-    small a size takes a few rounds more, too large a one may end at the wrong side of an obstacle.
+    Where they are met, it is the least cost that the model at the start expects. The step is the one of steepest
+    descent, in the metric of the control weights, of half the squared violations. Too small a size takes a few rounds
+    more, too large a one may end at the wrong side of an obstacle.
     """
     problem = start.problem
     penalized = Augmented.of(problem, zero_multipliers(problem), scales, 1.0).about(start)
