@@ -229,6 +229,8 @@ def test_auto_takes_constraints_and_says_so_and_others_refuse():
     for method in ("slq", "newton", "gradient", "trust-region", "ilqr"):
         with pytest.raises(ValueError, match="but the problem has 'wall', 'goal'; these do: auto"):
             solve(problem, method)
+    with pytest.raises(ValueError, match="with constraints takes no state guess X0; give controls"):
+        solve(problem, X0=np.zeros((51, 2)))
     with pytest.raises(ValueError, match="tol_violation must be"):
         solve(problem, tol_violation=0.0)
 
