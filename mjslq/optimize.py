@@ -183,6 +183,8 @@ def solve(
     stopping = _stopping(settings)
     record = chosen.record(**settings)
     start = starts.read(problem, guess, U0, X0)
+    if start.X is not None and problem.bound_constraints:
+        raise ValueError("a problem with constraints takes no state guess X0; give controls, U0, or a policy, guess")
     if start.X is not None and not chosen.takes_states:
         takers = [name for name, entry in METHODS.items() if entry.takes_states]
         raise ValueError(f"method {method!r} takes no state guess X0; these do: {', '.join(takers)}")

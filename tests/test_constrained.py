@@ -209,12 +209,28 @@ def test_sensors_of_mujoco_are_limited(constraint):
     assert result.cost > unlimited.cost and np.abs(result.multipliers[next(iter(result.violations))]).max() > 0.0
 
 
+def test_an_arm_keeps_its_joints_slow():
+    given = mjslq.problems.get("panda_reach")
+    free = solve(given)
+    limit = np.full(14, np.inf)
+    limit[7:] = 0.8 * np.abs(free.trajectory.X[:, 7:]).max(axis=0)
+    problem = Problem(
+        given.dynamics, given.horizon, given.x0, given.costs, bounds=Bounds(x=(-limit, limit)), U0=given.U0
+    )
+    result = solve(problem, curvature="never")
+    assert result.success, result.message
+    assert problem.violation(problem.rollout(result.trajectory.U)) == result.constraint_violation <= 1e-6
+    assert result.cost > free.cost
+
+
 def test_auto_takes_constraints_and_says_so_and_others_refuse():
     problem = bryson_denham()
     assert "'constrained', since the problem has constraints" in solve(problem, max_iterations=1).message
     for method in ("slq", "newton", "gradient", "trust-region", "ilqr"):
         with pytest.raises(ValueError, match="but the problem has 'wall', 'goal'; these do: auto"):
             solve(problem, method)
+    with pytest.raises(ValueError, match="with constraints takes no state guess X0; give controls"):
+        solve(problem, X0=np.zeros((51, 2)))
     with pytest.raises(ValueError, match="tol_violation must be"):
         solve(problem, tol_violation=0.0)
 

@@ -42,6 +42,11 @@ VALUES = {
         "hessian": (["newton", "gauss-newton"], ["exact", None]),
     },
     "gradient": {},
+    "constrained": {
+        "curvature": (["auto", "always", "never"], ["newton", None, True]),
+        "tol_violation": ([1e-9, 1e-3, 1], [*NUMBER, None]),
+        "penalty": ([0.01, 10.0, 2], [*NUMBER, None]),
+    },
 }
 """Of each method: option -> (right values, wrong values)."""
 STOPPING = {
@@ -206,7 +211,7 @@ def test_methods_that_are_none_are_refused():
     for wrong, sentence in (
         (
             "sql",
-            r"unknown method 'sql'; there are: auto, slq, newton, trust-region, gradient, ilqr; did you mean 'slq'\?",
+            r"unknown method 'sql'; there are: auto, slq, newton, trust-region, gradient, constrained, ilqr; did you mean 'slq'\?",
         ),
         (None, "unknown method None; there are"),
         ("ddp", "unknown method 'ddp'; there are"),

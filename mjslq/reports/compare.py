@@ -29,11 +29,13 @@ class Entry:
 
 
 def compare(problem: Problem, methods: Sequence[str] = (), **options: Any) -> Iterator[Entry]:
-    """Solve `problem` by each of `methods` (all unless given), one after the other.
+    """Solve `problem` by each of `methods`, one after the other: all that are made for it unless given.
 
     `options` are those that all methods know: tol, max_iterations, ...
     """
-    for method in [choose("method", ALIASES.get(method, method), METHODS) for method in methods or METHODS]:
+    constrained = bool(problem.bound_constraints)
+    made_for_it = [name for name, entry in METHODS.items() if entry.takes_constraints is constrained]
+    for method in [choose("method", ALIASES.get(method, method), METHODS) for method in methods or made_for_it]:
         solve(problem, method, **(options | {"max_iterations": 1}))  # so that no method pays for another's compiling
         yield Entry(method, solve(problem, method, **options))
 

@@ -15,14 +15,18 @@ Rounds
     3  t <- max(`LEAST_T`, min(0.3 t, 0.01 e))
 
 from rho = 0.1 s and t = 0.01. Low weights first: where obstacles are in the way, a start that lies beyond one of them
-can still be pushed to either side. The solve ends when all constraints are met within `tol_violation`, e is as small,
-and L has no slope left by the tests that all methods share: at such a point the gradient of L is the one of the
-Lagrangian. Where the constraints are met, rounds end no more.
+can still be pushed to either side. Where no step descends, kinks of the losses are in the way: then the round goes on
+with a tenth of rho, and lambda stays.
+
+The solve ends when all constraints are met within `tol_violation`, e is as small, and L has no slope left by the tests
+that all methods share: at such a point the gradient of L is the one of the Lagrangian. Where the constraints are met,
+rounds end no more.
 
 Infeasible: e above 0.9 of its least value in `STALLED` rounds, and rho at least 1e4 s. Then the solve starts anew from
-its start, twice at most, and then says so. It starts with a tenth of the first rho, or, from a start that meets the
-constraints, with a hundred times as much: there the first round went astray, such as through a wall. This is a local
-verdict: the iterate is a stationary point of the violation, and there may be another way.
+its start, twice at most, and then says so; it starts anew, too, where no step descends with any weight. It starts with
+a tenth of the first rho, or, from a start that meets the constraints, with a hundred times as much, and of the cost of
+the start: there the first round went astray, such as through a wall. This is a local verdict: the iterate is a
+stationary point of the violation, and there may be another way.
 
 Each constraint's entry is scaled by the largest gradient that it has along the start. Limits of the controls are no
 part of this: the sweeps keep to them exactly.
@@ -37,6 +41,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjslq.lq.box import Box
+from mjslq.lq.problem import LQProblem, NotPositiveDefinite
+from mjslq.lq.regularize import damped
 from mjslq.options import ConstrainedOptions
 from mjslq.solvers.augmented import Augmented, scales_of, zero_multipliers
 from mjslq.solvers.auto import Auto
@@ -60,7 +67,7 @@ RESTARTS, LIGHTER, HEAVIER = 2, 0.1, 100.0
 LEAST_SHARE = 1e-3
 """Least size of the cost, relative to that of the start."""
 FAILURES = 4
-"""Rounds in a row without a step, at most."""
+"""Times in a row that no step descends, at most; each time the weight is divided by `GROW`."""
 
 
 class Best(NamedTuple):
@@ -124,8 +131,8 @@ class Constrained(Method):
                 self._said = "The decrease that a step could bring is lost in rounding."
                 return Step(None, rollouts=step.rollouts, status=Status.CONVERGED)
             if self._failures > FAILURES:
-                return step
-            return self._next_round(here, step.rollouts)
+                return step if accepted or self._restarts == RESTARTS else self._give_up(here, step.rollouts)
+            return self._next_round(here, step.rollouts) if small or lost else self._soften(here, step.rollouts)
         self._failures = 0
         self._keep(step.iterate)
         return step
@@ -197,11 +204,21 @@ class Constrained(Method):
         self._keep(there)
         return Step(there, rollouts=rollouts, rejected=True)
 
+    def _soften(self, here: Iterate, rollouts: int) -> Step:
+        """The same round with a smaller weight, where no step descends: kinks of the losses are in the way."""
+        augmented = self._round
+        multipliers, rho = augmented.multipliers, augmented.rho / GROW
+        self._augmented = Augmented.of(augmented.problem, multipliers, augmented.scales, rho)
+        self._iterations = 0
+        return Step(self._augmented.about(here), rollouts=rollouts, rejected=True)
+
     def _give_up(self, here: Iterate, rollouts: int) -> Step:
         """Start anew with a smaller penalty, or call the problem infeasible."""
         if self._restarts < RESTARTS:
             self._restarts += 1
             self._first_rho *= HEAVIER if self._start_is_met else LIGHTER
+            if self._start_is_met:  # as heavy as it takes to let nothing pass that lowers the cost
+                self._first_rho = max(self._first_rho, HEAVIER * abs(self._start.cost))
             return Step(self._restart(), rollouts=rollouts, rejected=True)
         best = here if self._best is None else self._best.iterate
         self._said = _verdict(best, self.options.tol_violation)
@@ -226,10 +243,11 @@ class Constrained(Method):
 
 
 def cost_size(start: Iterate, scales: tuple[Array, ...]) -> float:
-    """s: what a step towards the constraints costs, at most the cost of the start; that, where they are met.
+    """s: what a step towards the constraints costs, at most the cost of the start.
 
-    The step is the one of steepest descent, in the metric of the control weights, of half the squared violations. Too
-    small a size takes a few rounds more, too large a one may end at the wrong side of an obstacle.
+    Where they are met, it is the least cost that the model at the start expects. The step is the one of steepest
+    descent, in the metric of the control weights, of half the squared violations. Too small a size takes a few rounds
+    more, too large a one may end at the wrong side of an obstacle.
     """
     problem = start.problem
     penalized = Augmented.of(problem, zero_multipliers(problem), scales, 1.0).about(start)
@@ -243,8 +261,17 @@ def cost_size(start: Iterate, scales: tuple[Array, ...]) -> float:
     length = -0.5 * float(np.vdot(slope, U)) / violations if violations > 0.0 else 0.0
     price, at_start = length * length * own, abs(start.cost)
     if not 0.0 < price < np.inf:
-        return at_start or 1.0
+        return max(abs(start.cost + _decrease(cost, start.box)), LEAST_SHARE * at_start) or 1.0
     return min(max(price, LEAST_SHARE * at_start), at_start or np.inf)
+
+
+def _decrease(model: LQProblem, box: Box) -> float:
+    """Change of the cost from the start to its model's minimizer."""
+    try:
+        lq = damped(model, box).found.lq
+    except NotPositiveDefinite:
+        return 0.0
+    return model.value(lq.X, lq.U)
 
 
 def _fixed(start: Iterate, tol: float) -> str:
