@@ -112,13 +112,13 @@ class RungeKuttaJacobians:
 
     def _walk(self, x: Array, Z: Array, d: Array, dd: Array) -> tuple[Array, Array]:
         """Where x (+) d ends, and its derivative."""
-        y = self._space.integrate(x, d)
-        back = self._space.difference_jacobian(x, y)
-        if back is None:
-            return y, Z + dd
-        forth = self._space.difference_jacobian(y, x)
-        assert forth is not None
-        return y, np.linalg.solve(back, forth @ Z + dd)
+        y, dy = self._space.integrate(x, d), Z + dd
+        for part in self._space.parts:
+            for at, k in zip(part.x, part.dx, strict=True):
+                forth = part.group.difference_jacobian(y[:, at], x[:, at])
+                back = part.group.difference_jacobian(x[:, at], y[:, at])
+                dy[:, k] = np.linalg.solve(back, forth @ Z[:, k] + dd[:, k])
+        return y, dy
 
     def _clip_activations(self, end: Array, Z: Array) -> None:
         """Clear the rows of activations that end beyond their range."""
