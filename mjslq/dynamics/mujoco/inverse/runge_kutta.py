@@ -34,6 +34,7 @@ from mjslq import rotation
 from mjslq.dynamics.mujoco.inverse.jacobians import InverseJacobians
 from mjslq.dynamics.mujoco.inverse.table.continuous import activation_ranges, continuous_model
 from mjslq.dynamics.mujoco.simulator import Simulator
+from mjslq.dynamics.mujoco.step_differences import chain
 from mjslq.dynamics.records import Linearization
 from mjslq.manifold import StateSpace
 from mjslq.validation import Array
@@ -56,14 +57,8 @@ class RungeKuttaJacobians:
         N, k, ndx, nu = len(U), substates.shape[1] + 1, self._space.ndx, U.shape[1]
         starts = np.concatenate([X[:-1, None], substates], axis=1).reshape(N * k, -1)
         A, B, C, D = self._single_steps(np.vstack([starts, X[-1:]]), np.repeat(U, k, axis=0))
-        A, B = A.reshape(N, k, ndx, ndx), B.reshape(N, k, ndx, nu)
-        whole_A, whole_B = A[:, 0], B[:, 0]
-        for s in range(1, k):
-            whole_A, whole_B = A[:, s] @ whole_A, A[:, s] @ whole_B + B[:, s]
-        return Linearization(
-            np.ascontiguousarray(whole_A), np.ascontiguousarray(whole_B),
-            np.concatenate([C[:-1:k], C[-1:]]), np.concatenate([D[:-1:k], D[-1:]]),
-        )  # fmt: skip
+        A, B = chain(A.reshape(N, k, ndx, ndx), B.reshape(N, k, ndx, nu))
+        return Linearization(A, B, np.concatenate([C[:-1:k], C[-1:]]), np.concatenate([D[:-1:k], D[-1:]]))
 
     def _single_steps(self, X: Array, U: Array) -> Linearization:
         """The same for single steps, N of them."""
@@ -112,13 +107,13 @@ class RungeKuttaJacobians:
 
     def _walk(self, x: Array, Z: Array, d: Array, dd: Array) -> tuple[Array, Array]:
         """Where x (+) d ends, and its derivative."""
-        y = self._space.integrate(x, d)
-        back = self._space.difference_jacobian(x, y)
-        if back is None:
-            return y, Z + dd
-        forth = self._space.difference_jacobian(y, x)
-        assert forth is not None
-        return y, np.asarray(np.linalg.solve(back, forth @ Z + dd), dtype=np.float64)
+        y, dy = self._space.integrate(x, d), Z + dd
+        for part in self._space.parts:
+            for at, k in zip(part.x, part.dx, strict=True):
+                forth = part.group.difference_jacobian(y[:, at], x[:, at])
+                back = part.group.difference_jacobian(x[:, at], y[:, at])
+                dy[:, k] = np.linalg.solve(back, forth @ Z[:, k] + dd[:, k])
+        return y, dy
 
     def _clip_activations(self, end: Array, Z: Array) -> None:
         """Clear the rows of activations that end beyond their range."""
