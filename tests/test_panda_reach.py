@@ -49,7 +49,7 @@ def test_engines_pose_the_same_problem():
 def test_parameters_are_on_record():
     values = {"x": 0.5, "y": 0.1, "z": 0.6, "horizon": 50, "duration": 0.6, "reach": 2e3, "effort": 2e-3}
     problem = mjslq.problems.get("panda_reach", engine="pinocchio", **values)
-    assert problem.parameters == values | {"engine": "pinocchio"}
+    assert problem.parameters == values | {"engine": "pinocchio", "limits": False}
     again = mjslq.problems.get("panda_reach", **problem.parameters)
     assert again.cost(again.rollout(again.U0)) == problem.cost(problem.rollout(problem.U0))
 
