@@ -6,8 +6,9 @@ import mujoco
 import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.cover import describe, refusals
-from mjslq.dynamics.mujoco.inverse.curvature.cover import OPEN, reasons, served_sensors
+from mjslq.dynamics.mujoco.inverse.curvature.cover import reasons, served_sensors
 from mjslq.dynamics.mujoco.inverse.readings.outputs import sensors
+from mjslq.dynamics.mujoco.inverse.table.columns import OPEN
 from mjslq.dynamics.mujoco.inverse.table.plan import arrays, can_be_constrained, has_contacts
 from mjslq.dynamics.mujoco.names import control_limits
 

@@ -184,7 +184,7 @@ def bend_rows(job, x, Z, X, S):
     _mark(job, marked)
     _bend_cones(job, w, Z, X, S)
     if job.bodies_tied:
-        _bend_ties(job, acc, w, marked, Z)
+        _bend_ties(job, acc, w, Z)
     one_sided = _bends_sharply(job)
     eps, share = NARROW if one_sided else WIDTH, 1.0 / NARROW if one_sided else 0.5 / WIDTH
     if one_sided:
@@ -294,15 +294,13 @@ def _mark_between(job, i, j, marked):
 
 
 @compiled
-def _bend_ties(job, acc, w, marked, Z):
+def _bend_ties(job, acc, w, Z):
     """By velocities: the forces of the constraints connect and weld, which follow dJ/dt v, are quadratic in them."""
     qvel, F, nv = vector(job.qvel, job.nv), matrix(job.F, job.nv, job.columns), job.nv
     rows = entry_count(job.data + job.at_nefc)
     kinds = flags(entry_address(job.data + job.at_efc_type), rows)
     ids = flags(entry_address(job.data + job.at_efc_id), rows)
     for i in range(nv):
-        if marked[i] == 0:
-            continue
         v = qvel[i]
         for side in range(2):
             qvel[i] = v - 1.0 if side else v + 1.0
