@@ -18,6 +18,9 @@ from mjslq.rotation import right_jacobian, right_jacobian_slope
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
 
+ROWS = 1e-6
+"""Width of the twin's differences where constraint rows push, whose impedance bends within millimetres."""
+
 
 def is_analytic(dynamics: MujocoDynamics) -> bool:
     return dict(dynamics.support_report())["second derivatives"].startswith("analytic")
@@ -28,12 +31,16 @@ def some_costates(dynamics: MujocoDynamics, N: int) -> tuple[Array, Array]:
     return rng.standard_normal((N + 1, dynamics.ndx)), rng.standard_normal((N + 1, dynamics.ny))
 
 
-def assert_agree(dynamics: MujocoDynamics, trajectory: Trajectory, tolerance: float = 1e-7) -> None:
-    """Compare with the twin, relative to the largest entry of all."""
+def assert_agree(
+    dynamics: MujocoDynamics, trajectory: Trajectory, tolerance: float = 1e-7, width: float = 1e-5
+) -> None:
+    """Compare with the twin, whose differences have a width; relative to the largest entry of all."""
     costates, weights = some_costates(dynamics, trajectory.horizon)
     assert not trajectory.diverged and is_analytic(dynamics)
     ours = dynamics.hessian(trajectory, costates, weights)
-    theirs = Dynamics.hessian(dynamics, trajectory, costates, weights)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(base, "DIFFERENCE", width)
+        theirs = Dynamics.hessian(dynamics, trajectory, costates, weights)
     scale = max(np.abs(part).max(initial=0.0) for part in theirs)
     assert scale > 0.0
     for mine, twin in zip(ours, theirs, strict=True):
@@ -74,15 +81,7 @@ def test_random_trees(data):
 def test_walking_on_a_plane(integrator, cone):
     dynamics = dynamics_of(models.walker(integrator, cone, soft=models.SOFT))
     trajectory = some_trajectory(dynamics, spread=0.0, speed=0.1, scale=0.05, base=STAND, settle=200)
-    assert_agree(dynamics, trajectory, 2e-5)
-
-
-def test_narrow_differences_are_closer_to_the_truth(monkeypatch):
-    """The twin with a tenth of its width, which misses by a hundredth, agrees better."""
-    dynamics = dynamics_of(models.walker("implicitfast", "pyramidal", soft=models.SOFT))
-    trajectory = some_trajectory(dynamics, spread=0.0, speed=0.1, scale=0.05, base=STAND, settle=200)
-    monkeypatch.setattr(base, "DIFFERENCE", 1e-6)
-    assert_agree(dynamics, trajectory, 2e-6)
+    assert_agree(dynamics, trajectory, 3e-6, ROWS)
 
 
 def test_flying_over_a_plane():
@@ -99,44 +98,44 @@ def test_flying_over_a_plane():
 )  # fmt: skip
 def test_shapes_on_a_plane(shape, speed, integrator, cone, condim):
     dynamics = dynamics_of(models.dropped(shape, integrator, cone, condim))
-    assert_agree(dynamics, some_trajectory(dynamics, spread=0.0, speed=speed), 1e-4)
+    assert_agree(dynamics, some_trajectory(dynamics, spread=0.0, speed=speed), 5e-5, ROWS)
 
 
 def test_a_stiff_contact():
     dynamics = dynamics_of(models.dropped("sphere", "implicitfast", "elliptic", 3, soft=""))
-    assert_agree(dynamics, some_trajectory(dynamics, spread=0.0, speed=0.1), 1e-4)
+    assert_agree(dynamics, some_trajectory(dynamics, spread=0.0, speed=0.1), 1e-4, 1e-7)
 
 
 @pytest.mark.parametrize("integrator", models.CONTINUOUS)
 def test_limits_and_friction(integrator):
     dynamics = dynamics_of(models.limits(integrator))
-    assert_agree(dynamics, some_trajectory(dynamics, N=20, spread=0.0, scale=0.5))
+    assert_agree(dynamics, some_trajectory(dynamics, N=20, spread=0.0, scale=0.5), 1e-6, ROWS)
 
 
 @pytest.mark.parametrize("integrator", models.CONTINUOUS)
 @pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
 def test_moving_pairs(integrator, cone):
     dynamics = dynamics_of(models.pair(integrator, cone))
-    assert_agree(dynamics, some_trajectory(dynamics, spread=0.0, speed=0.1, scale=0.1), 5e-5)
+    assert_agree(dynamics, some_trajectory(dynamics, spread=0.0, speed=0.1, scale=0.1), 5e-5, ROWS)
 
 
 @pytest.mark.parametrize("hands", models.HANDS)
 def test_contacts_within_one_tree(hands):
     dynamics = dynamics_of(models.clasp(hands, "implicitfast", "elliptic", 3))
-    assert_agree(dynamics, some_trajectory(dynamics, spread=0.0, speed=0.1, scale=0.1), 5e-5)
+    assert_agree(dynamics, some_trajectory(dynamics, spread=0.0, speed=0.1, scale=0.1), 5e-5, ROWS)
 
 
 @pytest.mark.parametrize("integrator", models.CONTINUOUS)
 @pytest.mark.parametrize("model", [models.linkage, models.geared])
 def test_equality_constraints(model, integrator):
     dynamics = dynamics_of(model(integrator))
-    assert_agree(dynamics, some_trajectory(dynamics, spread=0.0, speed=0.1))
+    assert_agree(dynamics, some_trajectory(dynamics, spread=0.05, speed=0.5), 2e-6, ROWS)
 
 
 @pytest.mark.parametrize("tie", contact_models.TIES)
 def test_every_kind_of_tie(tie):
     dynamics = dynamics_of(contact_models.tied(tie, "implicitfast", "sparse", 'solref=".05 1"'))
-    assert_agree(dynamics, some_trajectory(dynamics, N=3, spread=0.05, speed=0.5), 1e-6)
+    assert_agree(dynamics, some_trajectory(dynamics, N=3, spread=0.05, speed=0.5), 2e-6, ROWS)
 
 
 def test_sparse_constraint_jacobian():
@@ -217,14 +216,14 @@ def test_other_models_go_the_slow_way_and_say_so(xml, why):
         np.testing.assert_array_equal(mine, twin)
 
 
-@pytest.mark.parametrize(("name", "tolerance"), [("panda_reach", 1e-7), ("solo12_stand", 2e-5), ("g1_reach", 2e-5)])
+@pytest.mark.parametrize(("name", "tolerance"), [("panda_reach", 1e-7), ("solo12_stand", 1e-5), ("g1_reach", 1e-5)])
 def test_robots(name, tolerance):
     problem = problems.get(name)
     trajectory = problem.rollout(np.broadcast_to(problem.U0, (problem.horizon, problem.dynamics.nu)).copy())
     first = problem.horizon // 2
     knots, steps = slice(first, first + 3), slice(first, first + 2)
     part = Trajectory(trajectory.X[knots], trajectory.U[steps], trajectory.Y[knots], problem.dynamics.dt)
-    assert_agree(problem.dynamics, part, tolerance)
+    assert_agree(problem.dynamics, part, tolerance, 1e-5 if name == "panda_reach" else ROWS)
 
 
 def test_right_jacobian_and_its_slope_at_any_angle():

@@ -227,9 +227,9 @@ def _slope_beside(job, x, way, eps, acc, w, slope):
 def _bends_sharply(job):
     """Whether narrow differences to one side will do.
 
-    They do where all rows that push are limits, friction, or contacts with planes or between spheres: their impedance
-    bends within millimetres, and their gradient is exact to the last digits. How other contacts move is known to nine
-    digits only (`geometry`: FLAT; `pairs`).
+    A row's impedance bends within millimetres, and the gradient is exact to the last digits. Not so for contacts other
+    than those with planes and between spheres: how these move is known to nine digits only (`geometry`: FLAT; `pairs`);
+    nor for the constraints connect and weld, which may hold things far apart, where digits are lost.
     """
     rows = entry_count(job.data + job.at_nefc)
     kinds = flags(entry_address(job.data + job.at_efc_type), rows)
@@ -237,7 +237,7 @@ def _bends_sharply(job):
     states = flags(entry_address(job.data + job.at_efc_state), rows)
     contacts, shape = entry_address(job.data + job.at_contact), integers(job.geom_kind, job.ngeom)
     for r in range(rows):
-        if kinds[r] == EQUALITY:
+        if kinds[r] == EQUALITY and integers(job.eq_kind, job.neq)[ids[r]] in (CONNECT, WELD):
             return False
         if kinds[r] >= FRICTIONLESS and states[r] != SATISFIED:
             contact = contacts + ids[r] * job.at_contact_size
