@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mjslq.validation import Array
@@ -86,3 +88,54 @@ def cotangent_series(phi: Array) -> tuple[Array, Array]:
     # c' = -g'/t^2 - 2 (1 - g)/t^3 with g = h cot h, h = t/2, and g' = (cot h - h / sin^2 h) / 2
     slope = ((half / np.sin(half)) ** 2 + cot - 2.0) / (s * s)
     return c, np.where(small, np.polynomial.polynomial.polyval(square, slopes), slope)
+
+
+def _series(x: Array) -> tuple[Array, Array, Array, Array]:
+    """B = (1 - cos t) / t^2, c = (t - sin t) / t^3 and their derivatives by t over t, t = |x|. Shapes (..., 1, 1)."""
+    square = (x * x).sum(axis=-1)[..., None, None]
+    small = square < 0.25
+    s = np.where(small, 1.0, square)
+    t = np.sqrt(s)
+    sine, cosine = np.sin(t), np.cos(t)
+    closed = (
+        (1.0 - cosine) / s, (t - sine) / (s * t),
+        (t * sine - 2.0 * (1.0 - cosine)) / (s * s), (3.0 * sine - 2.0 * t - t * cosine) / (s * s * t),
+    )  # fmt: skip
+    series = (np.polynomial.polynomial.polyval(square, terms) for terms in _TERMS)
+    return tuple(np.where(small, near, far) for near, far in zip(series, closed, strict=True))
+
+
+def _terms(first: int) -> Array:
+    """Terms of sum (-s)^k / (2 k + first)!, that is 1 / first! - s / (first + 2)! + ..."""
+    return np.array([(-1.0) ** k / math.factorial(2 * k + first) for k in range(9)])
+
+
+def _slopes(terms: Array) -> Array:
+    """Terms of twice the derivative by s = t^2, which is the derivative by t over t."""
+    return 2.0 * np.arange(1, len(terms)) * terms[1:]
+
+
+_TERMS = (_terms(2), _terms(3), _slopes(_terms(2)), _slopes(_terms(3)))
+
+
+def right_jacobian(phi: Array) -> Array:
+    """Differentiate log(exp(-phi) exp(phi + w)) by w at zero: 1 - b [phi] + c [phi]^2, b and c as in `_series`.
+
+    Shape (..., 3) -> (..., 3, 3).
+    """
+    b, c, _, _ = _series(phi)
+    matrix = skew(phi)
+    return np.eye(3) - b * matrix + c * matrix @ matrix
+
+
+def right_jacobian_slope(phi: Array, p: Array) -> Array:
+    """Symmetric part of the derivative by phi of J' p = p + b phi x p + c phi x (phi x p), J the right Jacobian.
+
+    Shapes (..., 3), (..., 3) -> (..., 3, 3).
+    """
+    _, c, b_slope, c_slope = _series(phi)
+    turned = cross(phi, p)
+    along = (phi * p).sum(axis=-1)[..., None, None]
+    slopes = b_slope[..., 0] * turned + c_slope[..., 0] * cross(phi, turned)
+    rate = slopes[..., :, None] * phi[..., None, :] + c * (along * np.eye(3) - phi[..., :, None] * p[..., None, :])
+    return 0.5 * (rate + rate.swapaxes(-1, -2))

@@ -18,7 +18,6 @@ of which the second derivatives, contracted with the costate l, are
 
 from __future__ import annotations
 
-import math
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -75,10 +74,10 @@ class InverseHessians:
             H[at, : part.shape[2]] += product
             H[at, :, : part.shape[2]] += product.swapaxes(1, 2)
         turns.add(H, along)
-        return H
+        return 0.5 * (H + H.swapaxes(1, 2))  # the sums above are symmetric but for rounding
 
     def _accelerations(
-        self, along: Linearization, Xd: Array, Xc: Array, Sc: Array, apart: Array
+        self, along: Linearization, Xd: Array, Xc: Array, Sc: Array, apart: Any
     ) -> list[tuple[Any, Array, Array]]:
         """Knots, S and X of either acceleration; X cut to the columns that have entries."""
         nv, h = self._model.nv, float(self._table["h"])
@@ -133,7 +132,7 @@ class _Turns:
         self._x = h * ends[:, nq + self._dofs]
         """Turnings h w. Shape (N, quaternions, 3)."""
         self._costate = costates[1:, self._dofs]
-        self._J = _right_jacobian(self._x)
+        self._J = rotation.right_jacobian(self._x)
         by_velocity = costates[1:, nv : 2 * nv] + h * costates[1:, :nv]
         if len(first):
             turned = np.einsum("nkij,nki->nkj", self._J, self._costate)
@@ -149,52 +148,7 @@ class _Turns:
             R = np.stack([rotation.rotate(rotation.exp(x), axis) for axis in np.eye(3)], axis=-1)
             mixed = -0.5 * h * R @ rotation.skew(costate) @ J
             d = np.concatenate([along.A[:, nv + dofs, :], along.B[:, nv + dofs, :]], axis=2)
-            H[:-1] += d.swapaxes(1, 2) @ (h * h * _bend(x, costate)) @ d
+            H[:-1] += d.swapaxes(1, 2) @ (h * h * rotation.right_jacobian_slope(x, costate)) @ d
             product = mixed @ d
             H[:-1, dofs] += product
             H[:-1, :, dofs] += product.swapaxes(1, 2)
-
-
-def _series(x: Array) -> tuple[Array, Array, Array, Array]:
-    """B = (1 - cos t) / t^2, c = (t - sin t) / t^3 and their derivatives by t over t, t = |x|. Shapes (..., 1, 1)."""
-    square = (x * x).sum(axis=-1)[..., None, None]
-    small = square < 0.25
-    s = np.where(small, 1.0, square)
-    t = np.sqrt(s)
-    sine, cosine = np.sin(t), np.cos(t)
-    closed = (
-        (1.0 - cosine) / s, (t - sine) / (s * t),
-        (t * sine - 2.0 * (1.0 - cosine)) / (s * s), (3.0 * sine - 2.0 * t - t * cosine) / (s * s * t),
-    )  # fmt: skip
-    series = (np.polynomial.polynomial.polyval(square, terms) for terms in _TERMS)
-    return tuple(np.where(small, near, far) for near, far in zip(series, closed, strict=True))
-
-
-def _terms(first: int) -> Array:
-    """Terms of sum (-s)^k / (2 k + first)!, that is 1 / first! - s / (first + 2)! + ..."""
-    return np.array([(-1.0) ** k / math.factorial(2 * k + first) for k in range(9)])
-
-
-def _slopes(terms: Array) -> Array:
-    """Terms of twice the derivative by s = t^2, which is the derivative by t over t."""
-    return 2.0 * np.arange(1, len(terms)) * terms[1:]
-
-
-_TERMS = (_terms(2), _terms(3), _slopes(_terms(2)), _slopes(_terms(3)))
-
-
-def _right_jacobian(x: Array) -> Array:
-    """J_r = 1 - b [x] + c [x]^2. Shape (..., 3) -> (..., 3, 3)."""
-    b, c, _, _ = _series(x)
-    X = rotation.skew(x)
-    return np.eye(3) - b * X + c * X @ X
-
-
-def _bend(x: Array, costate: Array) -> Array:
-    """Symmetric part of d(J_r' l)/dx for a costate l, J_r' l = l + b x x l + c x x (x x l). (..., 3) -> (..., 3, 3)."""
-    _, c, b_slope, c_slope = _series(x)
-    across = rotation.cross(x, costate)
-    along = (x * costate).sum(axis=-1)[..., None, None]
-    rate = (b_slope[..., 0] * across + c_slope[..., 0] * rotation.cross(x, across))[..., :, None] * x[..., None, :]
-    rate = rate + c * (along * np.eye(3) - x[..., :, None] * costate[..., None, :])
-    return 0.5 * (rate + rate.swapaxes(-1, -2))

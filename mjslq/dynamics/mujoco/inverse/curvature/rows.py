@@ -184,7 +184,7 @@ def bend_rows(job, x, Z, X, S):
     _mark(job, marked)
     _bend_cones(job, w, Z, X, S)
     if job.bodies_tied:
-        _bend_ties(job, acc, w, marked, Z)
+        _bend_ties(job, acc, w, Z)
     one_sided = _bends_sharply(job)
     eps, share = NARROW if one_sided else WIDTH, 1.0 / NARROW if one_sided else 0.5 / WIDTH
     if one_sided:
@@ -227,9 +227,9 @@ def _slope_beside(job, x, way, eps, acc, w, slope):
 def _bends_sharply(job):
     """Whether narrow differences to one side will do.
 
-    They do where all rows that push are limits, friction, or contacts with planes or between spheres: their impedance
-    bends within millimetres, and their gradient is exact to the last digits. How other contacts move is known to nine
-    digits only (`geometry`: FLAT; `pairs`).
+    A row's impedance bends within millimetres, and the gradient is exact to the last digits. Not so for contacts other
+    than those with planes and between spheres: how these move is known to nine digits only (`geometry`: FLAT; `pairs`);
+    nor for the constraints connect and weld, which may hold things far apart, where digits are lost.
     """
     rows = entry_count(job.data + job.at_nefc)
     kinds = flags(entry_address(job.data + job.at_efc_type), rows)
@@ -237,7 +237,7 @@ def _bends_sharply(job):
     states = flags(entry_address(job.data + job.at_efc_state), rows)
     contacts, shape = entry_address(job.data + job.at_contact), integers(job.geom_kind, job.ngeom)
     for r in range(rows):
-        if kinds[r] == EQUALITY:
+        if kinds[r] == EQUALITY and integers(job.eq_kind, job.neq)[ids[r]] in (CONNECT, WELD):
             return False
         if kinds[r] >= FRICTIONLESS and states[r] != SATISFIED:
             contact = contacts + ids[r] * job.at_contact_size
@@ -294,15 +294,13 @@ def _mark_between(job, i, j, marked):
 
 
 @compiled
-def _bend_ties(job, acc, w, marked, Z):
+def _bend_ties(job, acc, w, Z):
     """By velocities: the forces of the constraints connect and weld, which follow dJ/dt v, are quadratic in them."""
     qvel, F, nv = vector(job.qvel, job.nv), matrix(job.F, job.nv, job.columns), job.nv
     rows = entry_count(job.data + job.at_nefc)
     kinds = flags(entry_address(job.data + job.at_efc_type), rows)
     ids = flags(entry_address(job.data + job.at_efc_id), rows)
     for i in range(nv):
-        if marked[i] == 0:
-            continue
         v = qvel[i]
         for side in range(2):
             qvel[i] = v - 1.0 if side else v + 1.0

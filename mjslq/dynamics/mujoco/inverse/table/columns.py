@@ -32,4 +32,4 @@ FOUND, CONTACT_FORCE, CONTACT_TORQUE, DISTANCE, POINT, NORMAL, TANGENT, CONTACT_
 IN_ORDER, NEAREST, STRONGEST, NET_FORCE = range(4)
 """How a contact sensor chooses among contacts, mjtContactReduce's numbers."""
 FLAT, CLOSED, DIFFERENCED, OPEN = range(4)
-"""What serves a sensor's second derivatives: nothing to do, a closed form, differences by position, or by all."""
+"""What serves a sensor's second derivatives: nothing, a closed form, differences in position alone, of the whole."""
