@@ -9,12 +9,14 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from test_mujoco_inverse import STAND, dynamics_of, random_tree, some_trajectory
+from test_second_derivatives import dense_hessian, total_hessian
 
-from mjslq import problems
+from mjslq import Problem, costs, problems
 from mjslq.dynamics import dynamics as base
 from mjslq.dynamics.dynamics import Dynamics
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.rotation import right_jacobian, right_jacobian_slope
+from mjslq.solvers.iterate import Iterate
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
 
@@ -200,7 +202,7 @@ MUSCLE = models.arm("Euler").replace("</actuator>", '<muscle joint="j2" lengthra
 
 @pytest.mark.parametrize(
     ("xml", "why"),
-    [(models.arm("discrete"), "discrete integrator"),
+    [(models.arm("discrete"), "integrator is not Euler"),
      (models.arm("Euler").replace("<option", '<option density="1000" viscosity=".1"'), "fluid"),
      (MUSCLE, "muscles")],
     ids=["discrete", "fluid", "muscles"],
@@ -224,6 +226,20 @@ def test_robots(name, tolerance):
     knots, steps = slice(first, first + 3), slice(first, first + 2)
     part = Trajectory(trajectory.X[knots], trajectory.U[steps], trajectory.Y[knots], problem.dynamics.dt)
     assert_agree(problem.dynamics, part, tolerance, 1e-5 if name == "panda_reach" else ROWS)
+
+
+@pytest.mark.parametrize(("integrator", "cone"), [("implicitfast", "pyramidal"), ("Euler", "elliptic")])
+def test_hessian_of_the_total_cost_in_contact(integrator, cone):
+    dynamics = dynamics_of(models.walker(integrator, cone, soft=models.SOFT))
+    x0 = dynamics.rollout(dynamics.initial_state, np.tile(STAND, (150, 1))).X[-1]
+    terms = [costs.Control(0.1), costs.State(1.0, dynamics.initial_state, "always")]
+    problem = Problem(dynamics, 6, x0, terms)
+    U = STAND + 0.05 * np.random.default_rng(0).standard_normal((6, dynamics.nu))
+    here = Iterate(problem, problem.rollout(U))
+    theirs = dense_hessian(problem, U)
+    scale = np.abs(theirs).max()
+    np.testing.assert_allclose(total_hessian(here.newton), theirs, rtol=0, atol=2e-7 * scale)
+    assert np.abs(total_hessian(here.gauss_newton) - theirs).max() > 0.01 * scale
 
 
 def test_right_jacobian_and_its_slope_at_any_angle():

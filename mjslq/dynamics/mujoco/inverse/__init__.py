@@ -26,6 +26,8 @@ readings/           sensors
     pressures, contact_sensors    of what contacts exert, and of contacts themselves
     stages, outputs     by differences of their own stage; which sensor is served how
 
+curvature/          second derivatives, contracted with costates
+
 table/              what the kernel is told about a model
     plan, actuator_plan, arm_plan, fluid_plan    from the model to arrays
     job, columns, layout          records and columns; where MuJoCo keeps what

@@ -14,10 +14,10 @@ from mjslq.dynamics.mujoco.inverse.table.plan import (
     DYN,
     GAIN,
     GEOM,
+    INT,
     Table,
     can_be_constrained,
     has_contacts,
-    implicit_level,
 )
 from mjslq.validation import Array
 
@@ -51,7 +51,10 @@ def _muscles(model: mujoco.MjModel) -> bool:
 
 
 _REASONS = (
-    (lambda m: implicit_level(m) == 3, "the discrete integrator weighs forces and rows by the state"),
+    (
+        lambda m: m.opt.integrator not in (INT.mjINT_EULER, INT.mjINT_IMPLICIT, INT.mjINT_IMPLICITFAST),
+        "its integrator is not Euler, implicit or implicitfast",
+    ),
     (in_fluid, "it moves in a fluid"),
     (_odd_forces, "it has forces without a closed form, or with moment arms that move"),
     (_muscles, "it has muscles"),

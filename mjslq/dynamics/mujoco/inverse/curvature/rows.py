@@ -11,7 +11,7 @@ The gradient has a closed form that costs no more than reading J once and walkin
 
 of which the position columns of the second derivatives are differences, by dofs that move rows that push: of the
 poses' rows alone, without dynamics and without solver. By v and a, second derivatives vanish but for sliding elliptic
-contacts (`cones`).
+contacts (`cones`), and by v for the constraints connect and weld, which follow dJ/dt v.
 """
 
 from __future__ import annotations
