@@ -211,7 +211,8 @@ def test_methods_that_are_none_are_refused():
     for wrong, sentence in (
         (
             "sql",
-            r"unknown method 'sql'; there are: auto, slq, newton, trust-region, gradient, constrained, ilqr; did you mean 'slq'\?",
+            r"unknown method 'sql'; there are: auto, slq, newton, trust-region, gradient, constrained, ilqr; "
+            r"did you mean 'slq'\?",
         ),
         (None, "unknown method None; there are"),
         ("ddp", "unknown method 'ddp'; there are"),

@@ -160,7 +160,7 @@ def _by_guesses(problem: LQProblem, box: Box, held: Mask, lq: LQSolution, most: 
     while True:
         U = box.clip(lq.U)
         inside = box.contains(lq.U)
-        gradient = _gradient(problem, problem.states(lq.U), lq.U) if held.any() else U
+        gradient = problem.control_gradient(lq.X, lq.U, lq.costates) if held.any() else U
         wanted = (held & ~_released(held, box.pushed(U, gradient), gradient)) | box.beyond(lq.U)
         if inside and (wanted == held).all():
             return BoxSolution(lq._replace(U=U), held, sweeps, True)

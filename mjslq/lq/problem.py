@@ -50,6 +50,12 @@ class LQProblem(NamedTuple):
         """Cost of the states `X` (N + 1, nx) and controls `U` (N, nu)."""
         return float(_value(self.Q, self.R, self.M, self.q, self.r, X, U))
 
+    def control_gradient(self, X: Array, U: Array, costates: Array) -> Array:
+        """Derivative of the Lagrangian by the controls, r + R u + M x + B'lambda_{n+1}. Shape (N, nu)."""
+        gradient = np.empty_like(self.r)
+        _control_gradient(self.B, self.R, self.M, self.r, X, U, costates, gradient)
+        return gradient
+
     def about(self, X: Array, U: Array) -> LQProblem:
         """The same problem in the differences from (X, U): other linear terms, other gaps."""
         q, r, c = np.empty_like(self.q), np.empty_like(self.r), np.empty_like(self.c)
@@ -94,6 +100,15 @@ def _states(A, B, c, U, X):
         X[n + 1] = c[n]
         add_product(A[n], X[n], X[n + 1])
         add_product(B[n], U[n], X[n + 1])
+
+
+@njit(cache=True, nogil=True)
+def _control_gradient(B, R, M, r, X, U, costates, gradient):
+    for n in range(U.shape[0]):
+        gradient[n] = r[n]
+        add_product(R[n], U[n], gradient[n])
+        add_product(M[n], X[n], gradient[n])
+        add_transposed_product(B[n], costates[n + 1], gradient[n])
 
 
 @njit(cache=True, nogil=True)

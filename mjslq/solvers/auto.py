@@ -306,7 +306,7 @@ def _solve(here: Iterate, model: LQProblem, theta: float, mu: Multipliers) -> Ca
 def _direction(latest: Candidate) -> Direction:
     lq, multiplier = latest.found.lq, max(latest.mu)
     expected = latest.model.value(lq.X, lq.U)
-    return Direction(lq.X, lq.U, lq.k, lq.K, lq.costates, expected, latest.found.held, multiplier)
+    return Direction(lq.X, lq.U, lq.k, lq.K, expected, latest.found.held, multiplier, sweep=lq)
 
 
 def _between(convex: LQProblem, exact: LQProblem, theta: float) -> LQProblem:

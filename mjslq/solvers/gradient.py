@@ -42,7 +42,7 @@ class Gradient(Method):
         change = -self._length / max(here.gradient_norm, 1e-300) * here.projected_gradient
         expected = float(np.vdot(here.gradient, change))
         held = here.box.pushed(np.zeros_like(change), here.gradient)
-        return Direction(here.gauss_newton.states(change), change, change, None, here.costates, expected, held)
+        return Direction(here.gauss_newton.states(change), change, change, None, expected, held)
 
     def step(self, here: Iterate, direction: Direction, merit: Merit) -> Step:
         """Search, further out while the minimum lies at the border."""

@@ -17,7 +17,7 @@ from mjslq.costs import Expansion
 from mjslq.dynamics.dynamics import Linearization
 from mjslq.lq.adjoint import adjoint
 from mjslq.lq.box import Box
-from mjslq.lq.problem import LQProblem, Mask
+from mjslq.lq.problem import LQProblem, LQSolution, Mask
 from mjslq.lq.regularize import By, Damped
 from mjslq.problem import Problem
 from mjslq.trajectory import Trajectory
@@ -40,8 +40,6 @@ class Direction(NamedTuple):
     """The same as feedforward beside the gains, for closed-loop steps. Shape (N, nu)."""
     K: Array | None
     """Feedback gains, zero for controls that a limit holds; None where the method has none. Shape (N, nu, ndx)."""
-    costates: Array
-    """Multipliers of the dynamics after the step. Shape (N + 1, ndx)."""
     expected: float
     """Change of the cost that the model expects of a full step; negative for descent."""
     held: Mask
@@ -54,6 +52,14 @@ class Direction(NamedTuple):
     """Whether the direction is short because a multiplier keeps it so, which is no sign of convergence."""
     undamped: float | None = None
     """Norm of the change of the controls without the multiplier, where it is known."""
+    sweep: LQSolution | None = None
+    """The sweep that it comes from; None where the method makes none."""
+
+    @property
+    def costates(self) -> Array:
+        """Multipliers of the dynamics after the step. Shape (N + 1, ndx)."""
+        assert self.sweep is not None
+        return self.sweep.costates
 
     @staticmethod
     def to(model: LQProblem, found: Damped, by: By = "control", radius: float = 0.0) -> Direction:
@@ -61,9 +67,10 @@ class Direction(NamedTuple):
         lq, multiplier = found.found.lq, found.multiplier
         slope = float(np.vdot(model.q, lq.X) + np.vdot(model.r, lq.U))
         kept = lq.X if by == "state" else lq.U
+        plain = multiplier == 0.0 and found.found.sweeps == 1 and not found.found.held.any() and not model.c.any()
         return Direction(
-            lq.X, lq.U, lq.k, lq.K, lq.costates, model.value(lq.X, lq.U), found.found.held, multiplier, radius,
-            limited=multiplier * float(np.vdot(kept, kept)) > LIMITING * abs(slope),
+            lq.X, lq.U, lq.k, lq.K, 0.5 * slope if plain else model.value(lq.X, lq.U), found.found.held, multiplier,
+            radius, limited=multiplier * float(np.vdot(kept, kept)) > LIMITING * abs(slope), sweep=lq,
         )  # fmt: skip
 
 
