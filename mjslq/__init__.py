@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from mjslq.robots import robot_path as robot_path
     from mjslq.scene import Scene as Scene
     from mjslq.status import Status as Status
+    from mjslq.tasks.task import Task as Task
+    from mjslq.tasks.task import load_task as load_task
     from mjslq.trajectory import Trajectory as Trajectory
     from mjslq.viewer import export_html as export_html
     from mjslq.viewer import view as view
@@ -62,9 +64,11 @@ _HOME = {
     "Result": "mjslq.result",
     "Scene": "mjslq.scene",
     "Status": "mjslq.status",
+    "Task": "mjslq.tasks.task",
     "Trajectory": "mjslq.trajectory",
     "export_html": "mjslq.viewer",
     "load": "mjslq.result",
+    "load_task": "mjslq.tasks.task",
     "methods": "mjslq.optimize",
     "robot_path": "mjslq.robots",
     "solve": "mjslq.optimize",

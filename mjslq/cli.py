@@ -1,4 +1,4 @@
-"""The command line: `mjslq list | solve | view | export | check | compare | reproduce | bench`.
+"""The command line: `mjslq list | solve | new | schema | view | export | check | compare | reproduce | bench`.
 
 Exit status: 0 converged (or the command did what it was asked), 1 not converged or ended by an error, 2 wrong input,
 3 diverged, 130 interrupted. What a command says about its progress goes to standard error; standard output holds
@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
+
+from mjslq.tasks.commands import is_task, new, schema
 
 if TYPE_CHECKING:
     from mjslq.dynamics.dynamics import Dynamics
@@ -78,7 +80,7 @@ def list_problems() -> None:
 
 @app.command()
 def solve(
-    problem: Annotated[str, typer.Argument(help="A problem of `mjslq list`.")],
+    problem: Annotated[str, typer.Argument(help="A problem of `mjslq list`, or a task file (.toml).")],
     method: Annotated[str | None, typer.Option("--method", "-m", help="How to solve it.")] = None,
     preset: Annotated[
         str | None, typer.Option(help="A paper's version of the method, nothing added: sideris-bobrow for slq.")
@@ -95,18 +97,13 @@ def solve(
     if save is not None:
         _refuse_unwritable(save)
     _announce(quiet)
-    from mjslq import problems
-    from mjslq.optimize import ALIASES, METHODS, option_names
     from mjslq.optimize import solve as run
     from mjslq.reports.tables import as_dict, print_summary
-    from mjslq.validation import choose
 
-    _refuse_model(problem)
-    choose("problem", problem, problems.names())
-    method = choose("method", method or _default_method(), [*METHODS, *ALIASES])
-    parameters, options = _sort_settings(settings or [], problem, option_names(method))
-    stated = problems.get(problem, **parameters)
-    result = run(stated, method, preset=preset, verbose=0 if quiet else 1, stream=sys.stderr, **options)
+    stated, method, options = _posed(problem, method, settings or [])
+    if preset is not None:
+        options["preset"] = preset
+    result = run(stated, method, verbose=0 if quiet else 1, stream=sys.stderr, **options)
     if as_json:
         print(json.dumps(as_dict(result), allow_nan=False))
     elif not quiet:
@@ -122,6 +119,10 @@ def solve(
 
         show(result, host, port)
     raise typer.Exit(_EXIT.get(result.status.value, 1))
+
+
+app.command()(new)
+app.command()(schema)
 
 
 @app.command()
@@ -152,7 +153,9 @@ def export(
 
 @app.command()
 def check(
-    what: Annotated[str, typer.Argument(help="A model (.xml, .urdf, .mjb) or a problem of `mjslq list`.")],
+    what: Annotated[
+        str, typer.Argument(help="A model (.xml, .urdf, .mjb), a task file (.toml) or a problem of `mjslq list`.")
+    ],
     steps: Annotated[int, typer.Option(help="Length of the motion along which derivatives are checked.")] = 20,
     seed: Annotated[int, typer.Option(help="Of the random controls that make the motion.")] = 0,
 ) -> None:
@@ -306,13 +309,48 @@ def _bench_starts(cases: list[str] | None, number: int, as_json: bool) -> None:
         tables.many_starts(rows)
 
 
+def _posed(what: str, method: str | None, settings: list[str]) -> tuple[Any, str, dict[str, Any]]:
+    """The problem of a name or a task file, the method to solve it by, and its options."""
+    from mjslq import problems
+    from mjslq.optimize import ALIASES, METHODS, option_names
+    from mjslq.validation import choose
+
+    if method is not None:
+        choose("method", method, [*METHODS, *ALIASES])
+    if is_task(what):
+        from mjslq import tasks
+
+        task = tasks.load_task(what)
+        known = dict.fromkeys([*option_names(method or task.method), *task.options])
+        asked = {name: _value(text) for name, text in _pairs(settings, "max_iterations=100")}
+        for name in asked:
+            choose("option", name, known)
+        return task.problem, method or task.method, {"guess": task.guess} | task.options | asked
+    _refuse_model(what)
+    choose("problem", what, problems.names())
+    method = method or _default_method()
+    parameters, options = _sort_settings(settings, what, option_names(method))
+    return problems.get(what, **parameters), method, options
+
+
+def _pairs(settings: list[str], example: str) -> list[tuple[str, str]]:
+    """NAME=VALUE settings as names and texts."""
+    pairs = []
+    for setting in settings:
+        name, equals, text = setting.partition("=")
+        if not equals:
+            raise ValueError(f"--set takes NAME=VALUE, such as {example}, got {setting!r}")
+        pairs.append((name, text))
+    return pairs
+
+
 def _refuse_model(what: str) -> None:
     """Refuse a model where a problem is wanted: a model has no cost, which takes a few lines of Python."""
     if Path(what).suffix.lower() in (".xml", ".urdf", ".mjb"):
         raise ValueError(
-            f"{what!r} is a model, and a problem has a cost besides: pose it in Python, as in mjslq.solve("
-            f"mjslq.Problem(mjslq.MujocoDynamics.from_path({what!r}), horizon, x0, costs)); "
-            f"`mjslq check {what}` says what serves the model, `mjslq list` shows ready problems"
+            f"{what!r} is a model, and a problem has a cost besides: `mjslq new {what}` writes a task file to begin "
+            f"with; or pose it in Python, as in mjslq.solve(mjslq.Problem(mjslq.MujocoDynamics.from_path({what!r}), "
+            f"horizon, x0, costs)); `mjslq check {what}` says what serves the model, `mjslq list` shows ready problems"
         )
 
 
@@ -347,12 +385,7 @@ def _sort_settings(settings: list[str], problem: str, own: list[str]) -> tuple[d
 
     parameters, options = {}, {}
     known = problems.parameters(problem)
-    for setting in settings:
-        name, equals, text = setting.partition("=")
-        if not equals:
-            raise ValueError(
-                f"--set takes NAME=VALUE, such as {next(iter(known))}={next(iter(known.values()))}, got {setting!r}"
-            )
+    for name, text in _pairs(settings, f"{next(iter(known))}={next(iter(known.values()))}"):
         if choose(f"setting of {problem} or the method", name, [*known, *own]) in known:
             parameters[name] = _value(text)
         else:
@@ -374,6 +407,11 @@ def _dynamics_of(what: str) -> tuple[Dynamics, Any]:
     """The engine, and a state to start from, of a model file or a problem's name."""
     from mjslq import problems
 
+    if is_task(what):
+        from mjslq import tasks
+
+        problem = tasks.load_task(what).problem
+        return problem.dynamics, problem.x0
     if what in problems.names():
         problem = problems.get(what)
         return problem.dynamics, problem.x0
@@ -383,7 +421,7 @@ def _dynamics_of(what: str) -> tuple[Dynamics, Any]:
         dynamics = MujocoDynamics.from_path(what)
         return dynamics, dynamics.initial_state
     raise ValueError(
-        f"{what!r} is neither a model file (.xml, .urdf, .mjb) nor a problem; problems: {', '.join(problems.names())}"
+        f"{what!r} is neither a model file (.xml, .urdf, .mjb), a task file (.toml) nor a problem; problems: {', '.join(problems.names())}"
     )
 
 

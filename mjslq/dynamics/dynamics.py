@@ -96,6 +96,14 @@ class Dynamics(ABC):
         """Controls that a problem starts from unless told otherwise: those of an engine at rest. Shape (nu,)."""
         return np.zeros(self.nu)
 
+    @property
+    def joint_ranges(self) -> dict[str, tuple[float, float]]:
+        """Ranges that the model gives its joints with one axis, by name; those without one are left out. [rad or m]
+
+        No part of the dynamics of `PinocchioDynamics`, and springs of MuJoCo's; a constraint keeps to them exactly.
+        """
+        return {}
+
     def rollout(self, x0: ArrayLike, U: ArrayLike) -> Trajectory:
         """Simulate from `x0` (nx,) under the controls `U` (N, nu); raises ValueError when they are not that."""
         return self.rollouts(self.checked_start(x0)[None], self.checked_controls(U)[None])[0]

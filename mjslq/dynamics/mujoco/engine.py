@@ -209,6 +209,13 @@ class MujocoDynamics(Dynamics):
         return reset_controls(self.model)
 
     @property
+    def joint_ranges(self) -> dict[str, tuple[float, float]]:
+        """See `Dynamics.joint_ranges`."""
+        from mjslq.dynamics.mujoco import names
+
+        return names.joint_ranges(self.model)
+
+    @property
     def keyframe_names(self) -> tuple[str, ...]:
         """Names of the model's keyframes."""
         return tuple(self.model.key(i).name or f"key{i}" for i in range(self.model.nkey))

@@ -119,6 +119,7 @@ def urdf_spec(
     floor: bool = False,
     armature: float = 0.0,
     packages: Packages = None,
+    self_contacts: bool = True,
     silent: bool = False,
 ) -> mujoco.MjSpec:
     """Read a URDF file into a specification that can still be edited.
@@ -138,6 +139,9 @@ def urdf_spec(
     packages
         Where package://name/... is: a folder that holds packages or is one, several, or a mapping from names to
         folders. Folders above the file, ROS_PACKAGE_PATH and AMENT_PREFIX_PATH are looked through besides.
+    self_contacts
+        Let the robot's links touch each other. Links of URDF files often overlap where they are joined, which pushes
+        them apart; without, they touch the floor and other objects alone.
     silent
         Do not warn of meshes that are left out.
 
@@ -169,6 +173,9 @@ def urdf_spec(
             joint.armature = armature
             if motors and joint.name not in followers:
                 _add_motor(spec, joint)
+    if not self_contacts:
+        for geom in spec.geoms:
+            geom.conaffinity = 0
     if floor:
         _add_floor(spec)
     return spec

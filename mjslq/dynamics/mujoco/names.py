@@ -57,6 +57,15 @@ def control_limits(model: mujoco.MjModel) -> Array:
     return limits
 
 
+def joint_ranges(model: mujoco.MjModel) -> dict[str, tuple[float, float]]:
+    """Ranges of the joints with one axis that have one."""
+    one_axis = (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)
+    joints = [j for j in range(model.njnt) if model.jnt_limited[j] and mujoco.mjtJoint(model.jnt_type[j]) in one_axis]
+    return {
+        _name(model.joint(j), "joint"): (float(model.jnt_range[j, 0]), float(model.jnt_range[j, 1])) for j in joints
+    }
+
+
 def output_names(model: mujoco.MjModel) -> tuple[str, ...]:
     """Names of y: a sensor's own name, with an index when it has several readings: "hand[0]"."""
     names: list[str] = []

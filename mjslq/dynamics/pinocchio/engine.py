@@ -160,6 +160,11 @@ class PinocchioDynamics(Dynamics):
         return np.concatenate([pin.neutral(self.model), np.zeros(self.model.nv)])
 
     @property
+    def joint_ranges(self) -> dict[str, tuple[float, float]]:
+        """See `Dynamics.joint_ranges`."""
+        return models.joint_ranges(self.model)
+
+    @property
     def frame_names(self) -> tuple[str, ...]:
         """Names that `outputs` may take."""
         return tuple(dict.fromkeys(frame.name for frame in self.model.frames))

@@ -148,6 +148,19 @@ def state_names(model: Any) -> tuple[str, ...]:
     return (*positions, *velocities)
 
 
+def joint_ranges(model: Any) -> dict[str, tuple[float, float]]:
+    """Ranges of the joints with one axis that have one."""
+    found = {}
+    for j in range(1, model.njoints):
+        if model.nqs[j] == model.nvs[j] == 1:
+            lower, upper = (
+                float(side[model.idx_qs[j]]) for side in (model.lowerPositionLimit, model.upperPositionLimit)
+            )
+            if lower < upper and max(abs(lower), abs(upper)) < 1e300:
+                found[model.names[j]] = (lower, upper)
+    return found
+
+
 def refuse_massless(model: Any) -> None:
     """Raise ValueError when a joint moves no mass, which has no acceleration."""
     inertia = np.diagonal(pin.crba(model, model.createData(), pin.neutral(model)))

@@ -1,0 +1,53 @@
+"""Commands about task files: `mjslq new` and `mjslq schema`."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def new(
+    model: Annotated[str, typer.Argument(help="A model (.xml, .urdf, .mjb), a robot's name, or menagerie:NAME.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="The file to write; MODEL.toml here unless given.")
+    ] = None,
+) -> None:
+    """Write a task file to begin with: it solves as it is, and lists the model's names in comments."""
+    from mjslq.files import atomic_write
+    from mjslq.tasks.engines import names_a_file
+    from mjslq.tasks.writing import text_for
+
+    stem = Path(model).stem if names_a_file(model) else model.rpartition(":")[2].partition("/")[0]
+    file = Path(f"{stem}.toml") if output is None else output
+    if file.suffix.lower() != ".toml":
+        raise ValueError(f"a task file ends in .toml, got {str(file)!r}")
+    if file.exists():
+        raise ValueError(f"{file} exists already; name another file with --output")
+    folder = file.absolute().parent
+    if not folder.is_dir():
+        raise ValueError(f"cannot write {file}: there is no folder {file.parent}")
+    if names_a_file(model):
+        model = Path(os.path.relpath(Path(model).expanduser(), folder)).as_posix()
+    text = text_for(model, folder)
+    with atomic_write(file) as stream:
+        stream.write(text.encode())
+    print(f"{file}: written; solve it with `mjslq solve {file}`", file=sys.stderr)
+
+
+def is_task(what: str) -> bool:
+    """Whether a command was given a task file."""
+    return Path(what).suffix.lower() == ".toml"
+
+
+def schema() -> None:
+    """Print the JSON schema of task files, for editors."""
+    from mjslq.tasks.schema import TaskFile
+
+    print(
+        json.dumps({"$schema": "https://json-schema.org/draft/2020-12/schema"} | TaskFile.model_json_schema(), indent=2)
+    )

@@ -1,0 +1,86 @@
+"""`Task`: a problem with its method and options, from a TOML file.
+
+    task = mjslq.load_task("my_task.toml")
+    result = task.solve(verbose=1)
+
+`tasks.schema` lists what a file may hold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mjslq.tasks import engines
+from mjslq.tasks.posing import Poser
+from mjslq.tasks.reading import Source, TaskError, read
+from mjslq.tasks.schema import TaskFile
+
+if TYPE_CHECKING:
+    from mjslq.problem import Problem
+    from mjslq.result import Result
+    from mjslq.validation import Array
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a task file states."""
+
+    problem: Problem
+    """The problem."""
+    method: str
+    """The method to solve it by."""
+    options: dict[str, Any]
+    """Options of the method."""
+    guess: Array | None
+    """Controls to start from; the problem's own start if None. Shape (N, nu)."""
+
+    def solve(self, method: str | None = None, **options: Any) -> Result:
+        """Solve it; `method` and `options`, as `mjslq.solve` takes them, go before those of the file."""
+        from mjslq.optimize import solve
+
+        return solve(self.problem, method or self.method, **({"guess": self.guess} | self.options | options))
+
+
+def load_task(path: str | Path) -> Task:
+    """Read a task file, with paths relative to its folder.
+
+    Raises
+    ------
+    ValueError
+        In one sentence with the line and the key, for what does not fit the file, the model or the method.
+    """
+    file, source = read(path)
+    dynamics = engines.make(file, Path(path).expanduser().absolute().parent, source)
+    if dynamics.nu == 0:
+        raise TaskError(source.sentence(("model",), f"{file.model} has no actuators, so there is nothing to optimize"))
+    options = _options(file, source)
+    poser = Poser(file, dynamics, source)
+    problem = poser.problem()
+    return Task(problem, file.solve.method, options, poser.guess(problem))
+
+
+def _options(file: TaskFile, source: Source) -> dict[str, Any]:
+    """Options of [solve], checked as far as the method's record can."""
+    from mjslq import optimize
+    from mjslq.options import check
+    from mjslq.validation import choose
+
+    method, given = file.solve.method, file.solve.options
+    with source.at("solve", "method"):
+        choose("method", method, [*optimize.METHODS, *optimize.ALIASES])
+    arguments = ("preset",)
+    known = dict.fromkeys(
+        [
+            *optimize.option_names(method),
+            *optimize.option_names("constrained" if method == "auto" else method),
+            *arguments,
+        ]
+    )
+    for name, value in given.items():
+        with source.at("solve", name):
+            choose(f"option of method {method!r}", name, known)
+            if name not in arguments:
+                check({name: value})
+    return given
