@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mjslq import problems as problems
     from mjslq import simulation as simulation
     from mjslq import starts as starts
+    from mjslq.batch import solve_many as solve_many
     from mjslq.bounds import Bounds as Bounds
     from mjslq.dynamics.derivative_check import DerivativeCheck as DerivativeCheck
     from mjslq.dynamics.dynamics import Dynamics as Dynamics
@@ -72,6 +73,7 @@ _HOME = {
     "methods": "mjslq.optimize",
     "robot_path": "mjslq.robots",
     "solve": "mjslq.optimize",
+    "solve_many": "mjslq.batch",
     "view": "mjslq.viewer",
 }
 

@@ -134,6 +134,9 @@ class Dynamics(ABC):
         """How many of the `rollouts` run side by side."""
         return 1
 
+    def limit_threads(self, number: int) -> None:  # noqa: B027 (engines without threads have nothing to do)
+        """Use at most so many threads from the first rollout on: for processes that run side by side."""
+
     @abstractmethod
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step of `trajectory`."""

@@ -241,6 +241,10 @@ class MujocoDynamics(Dynamics):
         """How many threads rollouts and Jacobians are shared out among."""
         return self._threads
 
+    def limit_threads(self, number: int) -> None:
+        """See `Dynamics.limit_threads`."""
+        self._threads = min(self._threads, count("threads", number))
+
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
         """One step by plain calls to mj_step from a clean mjData: the next state (nx,) and the outputs (ny,) at (x, u).
 
