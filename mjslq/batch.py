@@ -254,7 +254,11 @@ def _difference(result: Result, problem: Problem, method: str, options: dict[str
     """What tells that a result is not of this problem, solved so; empty where it is."""
     if method not in (result.method, "auto"):
         return f"method {result.method!r}, not {method!r}"
-    asked = {name: value for name, value in (dict(problem.options) | options).items() if name in result.options}
+    own = {} if "preset" in options else dict(problem.options)
+    if "tol" in options:  # it stands for both tolerances, the problem's own included
+        own = {name: value for name, value in own.items() if not name.startswith("tol")}
+        options = {"tol_gradient": options["tol"], "tol_direction": options["tol"]} | options
+    asked = {name: value for name, value in (own | options).items() if name in result.options}
     for name, value in asked.items():
         if not np.array_equal(np.asarray(result.options[name]), np.asarray(value)):
             return f"{name} = {result.options[name]}, not {value}"
