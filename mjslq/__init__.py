@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from mjslq import costs as costs
     from mjslq import lq as lq
     from mjslq import problems as problems
+    from mjslq import simulation as simulation
     from mjslq import starts as starts
+    from mjslq.batch import solve_many as solve_many
     from mjslq.bounds import Bounds as Bounds
     from mjslq.dynamics.derivative_check import DerivativeCheck as DerivativeCheck
     from mjslq.dynamics.dynamics import Dynamics as Dynamics
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from mjslq.dynamics.mujoco import MujocoDynamics as MujocoDynamics
     from mjslq.dynamics.pinocchio import PinocchioDynamics as PinocchioDynamics
     from mjslq.log import IterationLog as IterationLog
+    from mjslq.mpc import MPC as MPC
     from mjslq.optimize import methods as methods
     from mjslq.optimize import solve as solve
     from mjslq.policy import Policy as Policy
@@ -50,6 +53,7 @@ _HOME = {
     "costs": "mjslq.costs",
     "lq": "mjslq.lq",
     "problems": "mjslq.problems",
+    "simulation": "mjslq.simulation",
     "starts": "mjslq.starts",
     "Bounds": "mjslq.bounds",
     "DerivativeCheck": "mjslq.dynamics.derivative_check",
@@ -57,6 +61,7 @@ _HOME = {
     "FunctionDynamics": "mjslq.dynamics.function",
     "IterationLog": "mjslq.log",
     "Linearization": "mjslq.dynamics.dynamics",
+    "MPC": "mjslq.mpc",
     "MujocoDynamics": "mjslq.dynamics.mujoco",
     "PinocchioDynamics": "mjslq.dynamics.pinocchio",
     "Policy": "mjslq.policy",
@@ -72,10 +77,11 @@ _HOME = {
     "methods": "mjslq.optimize",
     "robot_path": "mjslq.robots",
     "solve": "mjslq.optimize",
+    "solve_many": "mjslq.batch",
     "view": "mjslq.viewer",
 }
 
-_MODULES = ("constraints", "costs", "lq", "problems", "starts")
+_MODULES = ("constraints", "costs", "lq", "problems", "simulation", "starts")
 """Names that are modules themselves."""
 
 __all__ = ["__version__", *_HOME]

@@ -1,4 +1,4 @@
-"""The command line: `mjslq list | solve | new | schema | view | export | check | compare | reproduce | bench`.
+"""The command line: `mjslq list | solve | new | schema | view | export | check | compare | reproduce | bench | sweep`.
 
 Exit status: 0 converged (or the command did what it was asked), 1 not converged or ended by an error, 2 wrong input,
 3 diverged, 130 interrupted. What a command says about its progress goes to standard error; standard output holds
@@ -7,19 +7,26 @@ the result, so that `--json` can be piped.
 
 from __future__ import annotations
 
-import ast
 import json
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
-from mjslq.tasks.commands import is_task, new, schema
-
-if TYPE_CHECKING:
-    from mjslq.dynamics.dynamics import Dynamics
+from mjslq.commands import measuring, sweeping, tasks
+from mjslq.commands.common import (
+    Host,
+    Json,
+    Port,
+    Settings,
+    View,
+    announce,
+    refuse_model,
+    refuse_unwritable,
+    sort_settings,
+)
 
 app = typer.Typer(
     help="Trajectory optimization for MuJoCo models.",
@@ -34,15 +41,6 @@ WRONG_INPUT = 2
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
 """What the parser raises for options and arguments that it does not know; Typer has no public name for it."""
-
-Port = Annotated[int, typer.Option(help="Port of the viewer; the next free one is taken if it is busy.")]
-Host = Annotated[str, typer.Option(help="Address that the viewer listens on.")]
-Settings = Annotated[
-    list[str] | None,
-    typer.Option("--set", "-s", metavar="NAME=VALUE", help="Set a parameter of the problem, or an option."),
-]
-View = Annotated[bool, typer.Option("--view", help="Show the result in a browser.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the numbers as one JSON object.")]
 
 
 def main() -> None:
@@ -95,12 +93,12 @@ def solve(
 ) -> None:
     """Solve a problem: a line an iteration while it works, a summary after."""
     if save is not None:
-        _refuse_unwritable(save)
-    _announce(quiet)
+        refuse_unwritable(save)
+    announce(quiet)
     from mjslq.optimize import solve as run
     from mjslq.reports.tables import as_dict, print_summary
 
-    stated, method, options = _posed(problem, method, settings or [])
+    stated, method, options = tasks.posed(problem, method, settings or [])
     if preset is not None:
         options["preset"] = preset
     result = run(stated, method, verbose=0 if quiet else 1, stream=sys.stderr, **options)
@@ -119,10 +117,6 @@ def solve(
 
         show(result, host, port)
     raise typer.Exit(_EXIT.get(result.status.value, 1))
-
-
-app.command()(new)
-app.command()(schema)
 
 
 @app.command()
@@ -152,42 +146,6 @@ def export(
 
 
 @app.command()
-def check(
-    what: Annotated[
-        str, typer.Argument(help="A model (.xml, .urdf, .mjb), a task file (.toml) or a problem of `mjslq list`.")
-    ],
-    steps: Annotated[int, typer.Option(help="Length of the motion along which derivatives are checked.")] = 20,
-    seed: Annotated[int, typer.Option(help="Of the random controls that make the motion.")] = 0,
-) -> None:
-    """Say what serves a model, and compare its derivatives with a fine reference along a random motion."""
-    _announce(quiet=False)
-    from mjslq.reports.tables import console, table
-    from mjslq.validation import count
-
-    count("steps", steps)
-    count("seed", seed, at_least=0)
-    dynamics, x0 = _dynamics_of(what)
-    screen = console()
-    parts = table("part", "served by")
-    for part, served in dynamics.support_report():
-        parts.add_row(part, served)
-    screen.print(parts)
-    if faults := dynamics.faults():
-        raise ValueError("; ".join(faults))
-    trajectory = _random_motion(dynamics, x0, steps, seed)
-    found = dynamics.check_derivatives(trajectory)
-    titles = ("Jacobian", "median error", "largest", "at step, row, column", "knots off")
-    errors = table(*titles, caption="relative to the largest entry")
-    for name, error in found.errors.items():
-        usual, share = f"{found.typical[name]:.1e}", f"{found.share[name]:.0%}"
-        errors.add_row(name, usual, f"{error:.1e}", str(found.worst[name]), share)
-    screen.print()
-    screen.print(errors)
-    print(found.verdict)
-    raise typer.Exit(1 if found.suspects else 0)
-
-
-@app.command()
 def compare(
     problem: Annotated[str, typer.Argument(help="A problem of `mjslq list`.")],
     methods: Annotated[
@@ -200,7 +158,7 @@ def compare(
     port: Port = 8080,
 ) -> None:
     """Solve a problem by every method from the same start: one table, one plot."""
-    _announce(quiet=False)
+    announce(quiet=False)
     from mjslq import problems
     from mjslq.options import COMMON
     from mjslq.reports import compare as comparing
@@ -208,12 +166,12 @@ def compare(
     from mjslq.reports.tables import console, table
     from mjslq.validation import choose
 
-    _refuse_model(problem)
+    refuse_model(problem)
     choose("problem", problem, problems.names())
     if plot is not None:
         choose("ending of a picture", plot.suffix, figures.FORMATS)
-        _refuse_unwritable(plot)
-    parameters, options = _sort_settings(settings or [], problem, list(COMMON))
+        refuse_unwritable(plot)
+    parameters, options = sort_settings(settings or [], problem, list(COMMON))
     stated = problems.get(problem, **parameters)
     titles = ("method", "status", "iterations", "rollouts", "seconds", "cost", "|gradient|")
     rows = table(*titles)
@@ -234,208 +192,8 @@ def compare(
         show(best, host, port, beside=others)
 
 
-@app.command()
-def reproduce(
-    papers: Annotated[
-        list[str] | None, typer.Argument(help="Methods whose paper to reproduce; all unless given.")
-    ] = None,
-    plot: Annotated[
-        Path | None,
-        typer.Option(help="Draw the papers' figures, too, into this folder or files that begin so (PNG and SVG)."),
-    ] = None,
-) -> None:
-    """Put the papers' numbers beside what comes out here, row by row."""
-    _announce(quiet=False)
-    from mjslq.reports import reproduce
-    from mjslq.reports.tables import StreamedTable
-    from mjslq.validation import choose
-
-    if plot is not None and not plot.is_dir():
-        _refuse_unwritable(plot)
-    for paper in [choose("paper", paper, reproduce.PAPERS) for paper in papers or reproduce.PAPERS]:
-        table, section = StreamedTable((paper, 5), ("paper", 5), ("here", 6), ("verdict", 7)), ""
-        for row in reproduce.PAPERS[paper]():
-            if row.section != section:
-                section = row.section
-                table.add_heading(section)
-            table.add_row(row.what, row.paper, row.ours, row.verdict)
-        for file in [] if plot is None else reproduce.draw(paper, plot):
-            print(f"figure: {file}", file=sys.stderr, flush=True)
-
-
-@app.command()
-def bench(
-    cases: Annotated[list[str] | None, typer.Argument(help="Cases to measure; all of them unless given.")] = None,
-    starts: Annotated[
-        int | None, typer.Option(help="Solve swing-ups and reaches from so many perturbed starts instead.")
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """Measure what an iteration costs here, phase by phase, beside the engine's own calls."""
-    _announce(quiet=False)
-    from mjslq.reports import bench, tables
-    from mjslq.validation import choose
-
-    if starts is not None:
-        _bench_starts(cases, starts, as_json)
-        return
-    rows = []
-    for case in [choose("case", case, bench.CASES) for case in cases or bench.CASES]:
-        print(f"measuring {case} ...", file=sys.stderr, flush=True)
-        rows.append(bench.run(case))
-    growth: dict[str, dict[int, float]] = {}
-    for name, measure in {} if cases else bench.GROWTH.items():
-        print(f"measuring {name} ...", file=sys.stderr, flush=True)
-        growth[name] = measure()
-    if as_json:
-        print(json.dumps({"cases": [row.as_dict() for row in rows], "growth": growth}))
-    else:
-        tables.benchmark(rows, growth)
-
-
-def _bench_starts(cases: list[str] | None, number: int, as_json: bool) -> None:
-    """Solve each case from perturbed starts, by default settings."""
-    from mjslq.reports import starts, tables
-    from mjslq.validation import choose, count
-
-    count("starts", number)
-    rows = []
-    for case in [choose("case", case, starts.CASES) for case in cases or starts.CASES]:
-        print(f"solving {case} from {number} starts ...", file=sys.stderr, flush=True)
-        rows.append(starts.measure(case, number))
-    if as_json:
-        print(json.dumps({"starts": [row.as_dict() for row in rows]}))
-    else:
-        tables.many_starts(rows)
-
-
-def _posed(what: str, method: str | None, settings: list[str]) -> tuple[Any, str, dict[str, Any]]:
-    """The problem of a name or a task file, the method to solve it by, and its options."""
-    from mjslq import problems
-    from mjslq.optimize import ALIASES, METHODS, option_names
-    from mjslq.validation import choose
-
-    if method is not None:
-        choose("method", method, [*METHODS, *ALIASES])
-    if is_task(what):
-        from mjslq import tasks
-
-        task = tasks.load_task(what)
-        known = dict.fromkeys([*option_names(method or task.method), *task.options])
-        asked = {name: _value(text) for name, text in _pairs(settings, "max_iterations=100")}
-        for name in asked:
-            choose("option", name, known)
-        return task.problem, method or task.method, {"guess": task.guess} | task.options | asked
-    _refuse_model(what)
-    choose("problem", what, problems.names())
-    method = method or _default_method()
-    parameters, options = _sort_settings(settings, what, option_names(method))
-    return problems.get(what, **parameters), method, options
-
-
-def _pairs(settings: list[str], example: str) -> list[tuple[str, str]]:
-    """NAME=VALUE settings as names and texts."""
-    pairs = []
-    for setting in settings:
-        name, equals, text = setting.partition("=")
-        if not equals:
-            raise ValueError(f"--set takes NAME=VALUE, such as {example}, got {setting!r}")
-        pairs.append((name, text))
-    return pairs
-
-
-def _refuse_model(what: str) -> None:
-    """Refuse a model where a problem is wanted: a model has no cost, which takes a few lines of Python."""
-    if Path(what).suffix.lower() in (".xml", ".urdf", ".mjb"):
-        raise ValueError(
-            f"{what!r} is a model, and a problem has a cost besides: `mjslq new {what}` writes a task file to begin "
-            f"with; or pose it in Python, as in mjslq.solve(mjslq.Problem(mjslq.MujocoDynamics.from_path({what!r}), "
-            f"horizon, x0, costs)); `mjslq check {what}` says what serves the model, `mjslq list` shows ready problems"
-        )
-
-
-def _refuse_unwritable(file: Path) -> None:
-    """Refuse, before hours of work, a file that cannot be written after them."""
-    if file.is_dir():
-        raise ValueError(f"cannot write {file}: it is a folder")
-    if not file.absolute().parent.is_dir():
-        raise ValueError(f"cannot write {file}: there is no folder {file.parent}")
-
-
-def _default_method() -> str:
-    """The method of `mjslq.solve` where none is given."""
-    import inspect
-
-    from mjslq.optimize import solve as run
-
-    return str(inspect.signature(run).parameters["method"].default)
-
-
-def _announce(quiet: bool) -> None:
-    if not quiet:
-        from mjslq.compiling import announce_compilation
-
-        announce_compilation(lambda message: print(message, file=sys.stderr, flush=True))
-
-
-def _sort_settings(settings: list[str], problem: str, own: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Split NAME=VALUE settings into parameters of the problem and options named in `own`."""
-    from mjslq import problems
-    from mjslq.validation import choose
-
-    parameters, options = {}, {}
-    known = problems.parameters(problem)
-    for name, text in _pairs(settings, f"{next(iter(known))}={next(iter(known.values()))}"):
-        if choose(f"setting of {problem} or the method", name, [*known, *own]) in known:
-            parameters[name] = _value(text)
-        else:
-            options[name] = _value(text)
-    return parameters, options
-
-
-def _value(text: str) -> Any:
-    """A number, a truth value or a list as Python writes it; anything else is a text."""
-    if text.lower() in ("true", "false"):
-        return text.lower() == "true"
-    try:
-        return ast.literal_eval(text)
-    except (ValueError, SyntaxError):
-        return text
-
-
-def _dynamics_of(what: str) -> tuple[Dynamics, Any]:
-    """The engine, and a state to start from, of a model file or a problem's name."""
-    from mjslq import problems
-
-    if is_task(what):
-        from mjslq import tasks
-
-        problem = tasks.load_task(what).problem
-        return problem.dynamics, problem.x0
-    if what in problems.names():
-        problem = problems.get(what)
-        return problem.dynamics, problem.x0
-    if Path(what).suffix.lower() in (".xml", ".urdf", ".mjb") or os.sep in what:
-        from mjslq.dynamics.mujoco import MujocoDynamics
-
-        dynamics = MujocoDynamics.from_path(what)
-        return dynamics, dynamics.initial_state
-    raise ValueError(
-        f"{what!r} is neither a model file (.xml, .urdf, .mjb), a task file (.toml) nor a problem; problems: {', '.join(problems.names())}"
-    )
-
-
-def _random_motion(dynamics: Dynamics, x0: Any, steps: int, seed: int) -> Any:
-    """A motion under small random controls; halved until it does not blow up."""
-    import numpy as np
-
-    U = np.random.default_rng(seed).normal(size=(steps, dynamics.nu))
-    for _ in range(20):
-        trajectory = dynamics.rollout(x0, U)
-        if not trajectory.diverged:
-            return trajectory
-        U *= 0.5
-    raise ValueError("the model blows up whatever the controls; shorten its timestep")
+for _command in (tasks.new, tasks.schema, measuring.check, measuring.reproduce, measuring.bench, sweeping.sweep):
+    app.command()(_command)
 
 
 if __name__ == "__main__":

@@ -125,10 +125,12 @@ class Problem:
         Shares everything that does not depend on these: nothing is bound anew.
         """
         moved = copy.copy(self)
-        moved.__dict__.pop("_prepared", None) if t0 else None
         object.__setattr__(moved, "x0", frozen(np.array(self.dynamics.checked_start(x0))))
         if t0:
-            object.__setattr__(moved, "_terms", tuple(term.at(finite("t0", t0)) for term in self._terms))
+            terms = tuple(term.at(finite("t0", t0)) for term in self._terms)
+            if any(later is not term for later, term in zip(terms, self._terms, strict=True)):
+                object.__setattr__(moved, "_terms", terms)
+                moved.__dict__.pop("_prepared", None)
             shifted = tuple(constraint.at(t0) for constraint in self.bound_constraints)
             object.__setattr__(moved, "bound_constraints", shifted)
         return moved

@@ -136,7 +136,7 @@ limits = { elbow = [-1.0, 2.0] }
 [[constraints]]
 kind = "frame"
 frame = "tip"
-lower = [-inf, -inf, -0.2]
+lower = [-inf, -inf, -0.3]
 when = 30
 
 [[constraints]]
@@ -155,14 +155,14 @@ kind = "control"
 limits = { m1 = [-3.0, 4.0] }
 
 [bounds]
-u = { m0 = [-5.0, 6.0] }
+u = { m0 = [-15.0, 16.0] }
 """
     problem = load(folder, TASK + extra).problem
     bound = {constraint.name: constraint for constraint in problem.bound_constraints}
     assert list(bound) == ["joints", "speeds", "tip.position", "wall", "box to bone"]
     assert np.allclose([bound["joints"].lower[0], bound["joints"].upper[0]], [[-1.9], [1.9]])
     assert np.allclose([bound["speeds"].lower[0], bound["speeds"].upper[0]], [[-1.0], [2.0]])
-    assert np.array_equal(problem.box.lower[0], [-5.0, -3.0]) and np.array_equal(problem.box.upper[0], [6.0, 4.0])
+    assert np.array_equal(problem.box.lower[0], [-15.0, -3.0]) and np.array_equal(problem.box.upper[0], [16.0, 4.0])
     result = mjslq.solve(problem)
     assert result.success and result.constraint_violation <= 1e-6
 

@@ -18,7 +18,9 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -64,6 +66,9 @@ class Dynamics(ABC):
     control_limits: Array
     """Lower and upper limit of each control: what the model clamps it to, or the actuator is rated for. Shape (nu, 2).
     -inf and inf where there is none."""
+    joint_ranges: Mapping[str, tuple[float, float]] = MappingProxyType({})
+    """Ranges that the model gives its joints with one axis, by name; those without one are left out. MuJoCo's are
+    springs, and Pinocchio ignores them: a constraint keeps to them. [rad or m]"""
     control_names: tuple[str, ...]
     output_names: tuple[str, ...]
 
@@ -95,14 +100,6 @@ class Dynamics(ABC):
     def initial_control(self) -> Array:
         """Controls that a problem starts from unless told otherwise: those of an engine at rest. Shape (nu,)."""
         return np.zeros(self.nu)
-
-    @property
-    def joint_ranges(self) -> dict[str, tuple[float, float]]:
-        """Ranges that the model gives its joints with one axis, by name; those without one are left out. [rad or m]
-
-        No part of the dynamics of `PinocchioDynamics`, and springs of MuJoCo's; a constraint keeps to them exactly.
-        """
-        return {}
 
     def rollout(self, x0: ArrayLike, U: ArrayLike) -> Trajectory:
         """Simulate from `x0` (nx,) under the controls `U` (N, nu); raises ValueError when they are not that."""
@@ -141,6 +138,9 @@ class Dynamics(ABC):
     def threads(self) -> int:
         """How many of the `rollouts` run side by side."""
         return 1
+
+    def limit_threads(self, number: int) -> None:  # noqa: B027 (engines without threads have nothing to do)
+        """Use at most so many threads from the first rollout on: for processes that run side by side."""
 
     @abstractmethod
     def linearize(self, trajectory: Trajectory) -> Linearization:

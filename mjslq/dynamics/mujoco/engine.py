@@ -106,6 +106,7 @@ class MujocoDynamics(Dynamics):
         self.state_names = names.state_names(model)
         self.control_names = names.control_names(model)
         self.output_names = names.output_names(model)
+        self.joint_ranges = names.joint_ranges(model)
         self.name = name or names.model_name(model) or "model"
         """The model's name, or its file's."""
         self.jacobian = choose_jacobian(self.model, choose("jacobian", jacobian, ("auto", *_JACOBIANS)))
@@ -209,13 +210,6 @@ class MujocoDynamics(Dynamics):
         return reset_controls(self.model)
 
     @property
-    def joint_ranges(self) -> dict[str, tuple[float, float]]:
-        """See `Dynamics.joint_ranges`."""
-        from mjslq.dynamics.mujoco import names
-
-        return names.joint_ranges(self.model)
-
-    @property
     def keyframe_names(self) -> tuple[str, ...]:
         """Names of the model's keyframes."""
         return tuple(self.model.key(i).name or f"key{i}" for i in range(self.model.nkey))
@@ -247,6 +241,10 @@ class MujocoDynamics(Dynamics):
     def threads(self) -> int:
         """How many threads rollouts and Jacobians are shared out among."""
         return self._threads
+
+    def limit_threads(self, number: int) -> None:
+        """See `Dynamics.limit_threads`."""
+        self._threads = min(self._threads, count("threads", number))
 
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
         """One step by plain calls to mj_step from a clean mjData: the next state (nx,) and the outputs (ny,) at (x, u).

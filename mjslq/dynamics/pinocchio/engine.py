@@ -98,6 +98,7 @@ class PinocchioDynamics(Dynamics):
         self.control_limits = models.effort_limits(self.model, self._actuated)
         self.state_names = models.state_names(self.model)
         self.output_names = self._readings.names
+        self.joint_ranges = models.joint_ranges(self.model)
         self.name = name or self.model.name or "model"
         """The robot's name, or its file's."""
         self._drawn_by = scene
@@ -158,11 +159,6 @@ class PinocchioDynamics(Dynamics):
     def initial_state(self) -> Array:
         """The neutral configuration at rest. Shape (nx,)."""
         return np.concatenate([pin.neutral(self.model), np.zeros(self.model.nv)])
-
-    @property
-    def joint_ranges(self) -> dict[str, tuple[float, float]]:
-        """See `Dynamics.joint_ranges`."""
-        return models.joint_ranges(self.model)
 
     @property
     def frame_names(self) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Commands about task files: `mjslq new` and `mjslq schema`."""
+"""Problems of commands, by name or from a task file, and the commands about task files: `new` and `schema`."""
 
 from __future__ import annotations
 
@@ -6,9 +6,35 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+
+from mjslq.commands.common import default_method, is_task, pairs_of, read_value, refuse_model, sort_settings
+
+
+def posed(what: str, method: str | None, settings: list[str]) -> tuple[Any, str, dict[str, Any]]:
+    """The problem of a name or a task file, the method to solve it by, and its options."""
+    from mjslq import problems
+    from mjslq.optimize import ALIASES, METHODS, option_names
+    from mjslq.validation import choose
+
+    if method is not None:
+        choose("method", method, [*METHODS, *ALIASES])
+    if is_task(what):
+        from mjslq.tasks import load_task
+
+        task = load_task(what)
+        known = dict.fromkeys([*option_names(method or task.method), *task.options])
+        asked = {name: read_value(text) for name, text in pairs_of(settings, "max_iterations=100")}
+        for name in asked:
+            choose("option", name, known)
+        return task.problem, method or task.method, {"guess": task.guess} | task.options | asked
+    refuse_model(what)
+    choose("problem", what, problems.names())
+    method = method or default_method()
+    parameters, options = sort_settings(settings, what, option_names(method))
+    return problems.get(what, **parameters), method, options
 
 
 def new(
@@ -37,11 +63,6 @@ def new(
     with atomic_write(file) as stream:
         stream.write(text.encode())
     print(f"{file}: written; solve it with `mjslq solve {file}`", file=sys.stderr)
-
-
-def is_task(what: str) -> bool:
-    """Whether a command was given a task file."""
-    return Path(what).suffix.lower() == ".toml"
 
 
 def schema() -> None:

@@ -1,0 +1,160 @@
+"""`mjslq check | reproduce | bench`: what is right, what the papers say, and what it costs."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mjslq.commands.common import Json, announce, is_task, refuse_unwritable
+
+if TYPE_CHECKING:
+    from mjslq.dynamics.dynamics import Dynamics
+
+
+def check(
+    what: Annotated[
+        str, typer.Argument(help="A model (.xml, .urdf, .mjb), a task file (.toml) or a problem of `mjslq list`.")
+    ],
+    steps: Annotated[int, typer.Option(help="Length of the motion along which derivatives are checked.")] = 20,
+    seed: Annotated[int, typer.Option(help="Of the random controls that make the motion.")] = 0,
+) -> None:
+    """Say what serves a model, and compare its derivatives with a fine reference along a random motion."""
+    announce(quiet=False)
+    from mjslq.reports.tables import console, table
+    from mjslq.validation import count
+
+    count("steps", steps)
+    count("seed", seed, at_least=0)
+    dynamics, x0 = _dynamics_of(what)
+    screen = console()
+    parts = table("part", "served by")
+    for part, served in dynamics.support_report():
+        parts.add_row(part, served)
+    screen.print(parts)
+    if faults := dynamics.faults():
+        raise ValueError("; ".join(faults))
+    trajectory = _random_motion(dynamics, x0, steps, seed)
+    found = dynamics.check_derivatives(trajectory)
+    titles = ("Jacobian", "median error", "largest", "at step, row, column", "knots off")
+    errors = table(*titles, caption="relative to the largest entry")
+    for name, error in found.errors.items():
+        usual, share = f"{found.typical[name]:.1e}", f"{found.share[name]:.0%}"
+        errors.add_row(name, usual, f"{error:.1e}", str(found.worst[name]), share)
+    screen.print()
+    screen.print(errors)
+    print(found.verdict)
+    raise typer.Exit(1 if found.suspects else 0)
+
+
+def reproduce(
+    papers: Annotated[
+        list[str] | None, typer.Argument(help="Methods whose paper to reproduce; all unless given.")
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(help="Draw the papers' figures, too, into this folder or files that begin so (PNG and SVG)."),
+    ] = None,
+) -> None:
+    """Put the papers' numbers beside what comes out here, row by row."""
+    announce(quiet=False)
+    from mjslq.reports import reproduce
+    from mjslq.reports.tables import StreamedTable
+    from mjslq.validation import choose
+
+    if plot is not None and not plot.is_dir():
+        refuse_unwritable(plot)
+    for paper in [choose("paper", paper, reproduce.PAPERS) for paper in papers or reproduce.PAPERS]:
+        table, section = StreamedTable((paper, 5), ("paper", 5), ("here", 6), ("verdict", 7)), ""
+        for row in reproduce.PAPERS[paper]():
+            if row.section != section:
+                section = row.section
+                table.add_heading(section)
+            table.add_row(row.what, row.paper, row.ours, row.verdict)
+        for file in [] if plot is None else reproduce.draw(paper, plot):
+            print(f"figure: {file}", file=sys.stderr, flush=True)
+
+
+def bench(
+    cases: Annotated[list[str] | None, typer.Argument(help="Cases to measure; all of them unless given.")] = None,
+    starts: Annotated[
+        int | None, typer.Option(help="Solve swing-ups and reaches from so many perturbed starts instead.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Measure what an iteration costs here, phase by phase, beside the engine's own calls."""
+    announce(quiet=False)
+    from mjslq.reports import bench, tables
+    from mjslq.validation import choose
+
+    if starts is not None:
+        _bench_starts(cases, starts, as_json)
+        return
+    rows = []
+    for case in [choose("case", case, bench.CASES) for case in cases or bench.CASES]:
+        print(f"measuring {case} ...", file=sys.stderr, flush=True)
+        rows.append(bench.run(case))
+    growth: dict[str, dict[int, float]] = {}
+    for name, measure in {} if cases else bench.GROWTH.items():
+        print(f"measuring {name} ...", file=sys.stderr, flush=True)
+        growth[name] = measure()
+    if as_json:
+        print(json.dumps({"cases": [row.as_dict() for row in rows], "growth": growth}))
+    else:
+        tables.benchmark(rows, growth)
+
+
+def _bench_starts(cases: list[str] | None, number: int, as_json: bool) -> None:
+    """Solve each case from perturbed starts, by default settings."""
+    from mjslq.reports import starts, tables
+    from mjslq.validation import choose, count
+
+    count("starts", number)
+    rows = []
+    for case in [choose("case", case, starts.CASES) for case in cases or starts.CASES]:
+        print(f"solving {case} from {number} starts ...", file=sys.stderr, flush=True)
+        rows.append(starts.measure(case, number))
+    if as_json:
+        print(json.dumps({"starts": [row.as_dict() for row in rows]}))
+    else:
+        tables.many_starts(rows)
+
+
+def _dynamics_of(what: str) -> tuple[Dynamics, Any]:
+    """The engine, and a state to start from, of a model file or a problem's name."""
+    from mjslq import problems
+
+    if is_task(what):
+        from mjslq.tasks import load_task
+
+        problem = load_task(what).problem
+        return problem.dynamics, problem.x0
+    if what in problems.names():
+        problem = problems.get(what)
+        return problem.dynamics, problem.x0
+    if Path(what).suffix.lower() in (".xml", ".urdf", ".mjb") or os.sep in what:
+        from mjslq.dynamics.mujoco import MujocoDynamics
+
+        dynamics = MujocoDynamics.from_path(what)
+        return dynamics, dynamics.initial_state
+    raise ValueError(
+        f"{what!r} is neither a model file (.xml, .urdf, .mjb), a task file (.toml) nor a problem; problems: "
+        f"{', '.join(problems.names())}"
+    )
+
+
+def _random_motion(dynamics: Dynamics, x0: Any, steps: int, seed: int) -> Any:
+    """A motion under small random controls; halved until it does not blow up."""
+    import numpy as np
+
+    U = np.random.default_rng(seed).normal(size=(steps, dynamics.nu))
+    for _ in range(20):
+        trajectory = dynamics.rollout(x0, U)
+        if not trajectory.diverged:
+            return trajectory
+        U *= 0.5
+    raise ValueError("the model blows up whatever the controls; shorten its timestep")
