@@ -275,12 +275,13 @@ def _decrease(model: LQProblem, box: Box) -> float:
 
 
 def _fixed(start: Iterate, tol: float) -> str:
-    """Which constraints the initial state violates where no control enters them: nothing can be done about these."""
+    """Which constraints the initial state violates where nothing free enters them: nothing can be done about these."""
+    free = start.problem.free_start
     for constraint in start.problem.unpenalized.bound_constraints:
-        if (
-            constraint.seen_at[0] > 0
-            or constraint.residual.jacobian(start.trajectory, start.linearization).u is not None
-        ):
+        if constraint.seen_at[0] > 0:
+            continue
+        J = constraint.residual.jacobian(start.trajectory, start.linearization)
+        if J.u is not None or (free is not None and isinstance(J.x, np.ndarray) and J.x[0][:, free].any()):
             continue
         violation = float(constraint.violation(start.trajectory)[0])
         if violation > tol:
