@@ -67,7 +67,7 @@ RESTARTS, LIGHTER, HEAVIER = 2, 0.1, 100.0
 """Times that the solve starts anew, and the factors on the first rho."""
 LEAST_SHARE = 1e-3
 """Least size of the cost, relative to that of the start."""
-NEAR_MET, NEAR_COMPLEMENTARY, NEAR_T = 1e-3, 1e-2, 1e-4
+NEAR_COMPLEMENTARY, NEAR_T = 1e-2, 1e-4
 """Violation, complementarity and tolerance of the round from which on the last steps are tried."""
 FAILURES = 4
 """Times in a row that no step descends, at most; each time the weight is divided by `GROW`."""
@@ -137,7 +137,7 @@ class Constrained(Method):
             return self._newton_step(here, direction)
         self._iterations += 1
         slope, accepted = abs(merit.slope(here, direction)), self.accepts(here)
-        small = not direction.limited and slope < self._t * (self._size + abs(here.cost))
+        small = not self._inner.damped and slope < self._t * (self._size + abs(here.cost))
         if (small and not accepted and self._iterations > 1) or self._iterations > ROUND:
             self._failures = 0
             step = self._inner.step(here, direction, merit)
@@ -243,8 +243,7 @@ class Constrained(Method):
         there = self._augmented.about(here)
         self._keep(there)
         if e < self._switch * NEAR_COMPLEMENTARY and self._t <= self._switch * NEAR_T:
-            if there.problem.violation(there.trajectory) < self._switch * NEAR_MET:
-                self._before, there = there, self._newton.begin(there, multipliers)
+            self._before, there = there, self._newton.begin(there, multipliers)
         return Step(there, step.alpha, rollouts, rejected=step.iterate is None)
 
     def _soften(self, here: Iterate, rollouts: int) -> Step:
