@@ -7,7 +7,7 @@ Notation
     W, b                 entries in force, each with the limit b that it is held at; equalities always are
     J d                  change of r along a step d of states and controls, by the linearized system
     s                    size of the cost; entries of r are scaled as in `solvers.constrained`
-    delta                1 / (`WEIGHT` s), the proximal term in the dual block
+    delta                the proximal term in the dual block, 1 / (`WEIGHT` rho), rho the last round's penalty weight
 
 Step
 ----
@@ -54,8 +54,8 @@ from mjslq.solvers.steps import candidates
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
 
-WEIGHT = 1e8
-"""1 / delta, for a cost of size 1 and scaled constraints."""
+WEIGHT, LARGEST = 1e4, 1e12
+"""1 / delta relative to the penalty weight of the round before, and at most, for a cost of size 1."""
 IN_FORCE, MULTIPLE = 1e-7, 10.0
 """An entry is in force from lambda + `MULTIPLE` c > `IN_FORCE` on, c its violation, scaled."""
 BEYOND = 1e-10
@@ -114,11 +114,8 @@ class Rows:
     """What its entries are multiplied by. Shape (m,)."""
     size: float
     """s."""
-
-    @property
-    def weight(self) -> Array:
-        """1 / delta of its entries, in their own units. Shape (m,)."""
-        return WEIGHT * self.size * self.scale**2
+    weight: Array
+    """1 / delta of its entries, in their own units. Shape (m,)."""
 
     def along(self, X: Array, U: Array) -> Array:
         """R + J d for changes of the states (N + 1, ndx) and controls (N, nu). Shape (k, m)."""
@@ -194,9 +191,12 @@ class ActiveSet:
         self._costates: Array | None = None
         self._steps = 0
 
-    def begin(self, here: Iterate, multipliers: tuple[Array, ...]) -> Iterate:
-        """The same trajectory as an iterate of the Lagrangian with these multipliers."""
-        self._costates, self._steps = None, 0
+    def begin(self, here: Iterate, multipliers: tuple[Array, ...], rho: float) -> Iterate:
+        """The same trajectory as an iterate of the Lagrangian with these multipliers.
+
+        `rho` is the penalty weight with which they were found.
+        """
+        self._costates, self._steps, self._weight = None, 0, min(WEIGHT * rho, LARGEST * self._size)
         return self._about(here.trajectory, multipliers, here)
 
     def direction(self, here: Iterate) -> Direction:
@@ -254,7 +254,7 @@ class ActiveSet:
         found = []
         for c, scale in zip(self.problem.bound_constraints, self._scales, strict=True):
             r, J = c.residual.value(here.trajectory), c.residual.jacobian(here.trajectory, here.linearization)
-            found.append(Rows(c, r, J, scale, self._size))
+            found.append(Rows(c, r, J, scale, self._size, self._weight * scale**2))
         return found
 
     def _solve(self, here: Iterate, base: LQProblem, exact: LQProblem, share: float) -> Found:

@@ -243,7 +243,7 @@ class Constrained(Method):
         there = self._augmented.about(here)
         self._keep(there)
         if e < self._switch * NEAR_COMPLEMENTARY and self._t <= self._switch * NEAR_T:
-            self._before, there = there, self._newton.begin(there, multipliers)
+            self._before, there = there, self._newton.begin(there, multipliers, before.rho)
         return Step(there, step.alpha, rollouts, rejected=step.iterate is None)
 
     def _soften(self, here: Iterate, rollouts: int) -> Step:
