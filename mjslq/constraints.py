@@ -4,6 +4,7 @@
 
     State       r = x                    Sensor      r = a reading of the engine
     Path        r = w(x, u, t) <= 0      Terminal    r = m(x_N) = 0
+    Initial     r = q(x_0) = 0, with x_0, or some of its entries, unknown
     Control     limits of the controls, which hold exactly and at every step, beside those of the problem's `bounds`
 
 As with costs, what the user writes is a small frozen record, and `bind` fits it to a system and a horizon
@@ -14,9 +15,9 @@ length of a step: each knot has to obey. Between the knots nothing is asked for.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,6 +27,7 @@ from mjslq.bound_constraints import BoundConstraint, EndResidual, EntriesResidua
 from mjslq.dynamics.dynamics import Dynamics
 from mjslq.knots import Knots, When, knots_of
 from mjslq.lq.box import Box
+from mjslq.lq.problem import Mask
 from mjslq.user_function import UserFunction
 from mjslq.validation import Array, as_array, choose
 
@@ -47,8 +49,15 @@ class Constraint(ABC):
         return type(self).__name__.lower()
 
     @abstractmethod
-    def bind(self, dynamics: Dynamics, N: int, name: str) -> BoundConstraint | Box:
-        """Fit to a system and a horizon: limits of the controls as a `Box`. Raises ValueError."""
+    def bind(self, dynamics: Dynamics, N: int, name: str) -> BoundConstraint | Box | None:
+        """Fit to a system and a horizon: limits of the controls as a `Box`, None for no limits at all.
+
+        Raises ValueError.
+        """
+
+    def frees(self, dynamics: Dynamics) -> Mask | None:
+        """Tangent directions of the initial state that it makes unknown; None for none. Shape (ndx,)."""
+        return None
 
 
 @dataclass(frozen=True)
@@ -175,13 +184,59 @@ class Terminal(Constraint):
 
     def bind(self, dynamics: Dynamics, N: int, name: str) -> BoundConstraint:
         """See `Constraint.bind`."""
-        if not callable(self.m):
-            raise ValueError(f"m(x) must be a function, got {type(self.m).__name__}")
-        jacobian = None if self.jacobian is None else _JacobianOfState(self.jacobian, dynamics.nu)
-        function = UserFunction("m", _OfState(self.m), dynamics.nx, dynamics.nu, jacobian)
-        steps = dynamics.steps(N)
-        residual = residuals.bind_function(dynamics, function, knots_of("terminal", steps), steps)
-        return _function_constraint(name, residual, self.equality)
+        return _of_state("m", self.m, self.jacobian, dynamics, N, "terminal", name, self.equality)
+
+
+@dataclass(frozen=True)
+class Initial(Constraint):
+    """An initial state that is not given: q(x_0) = 0, or <= 0, or entries of x_0 that are free.
+
+    The problem's own x0 is what the search starts from, and what entries that are not free stay at. The multiplier nu
+    of q and the costate of the first knot belong together, lambda_0 = -(dq/dx)'nu on the free entries (McQuade 1989,
+    (2.35)).
+    """
+
+    q: Callable[..., Any] | None = None
+    """q(x) -> (m,) or a number; None where entries are free without more. Analytic in x unless `jacobian` is given."""
+    free: str | int | Sequence[str | int] | None = None
+    """Entries of x_0 that are unknown, by name (`Dynamics.state_names`) or index: all of them unless given. The entries
+    of a quaternion, and those of a pose on which a step acts as a whole, are free together or not at all."""
+    equality: bool = True
+    """Whether q has to be zero; otherwise it must not be positive."""
+    jacobian: Callable[..., Any] | None = field(default=None, kw_only=True)
+    """jacobian(x) -> dq/dx (m, nx); by complex step unless given."""
+
+    def bind(self, dynamics: Dynamics, N: int, name: str) -> BoundConstraint | None:
+        """See `Constraint.bind`."""
+        if self.q is None:
+            if self.free is None:
+                raise ValueError("give q(x), the entries of the initial state that are free, or both")
+            return None
+        return _of_state("q", self.q, self.jacobian, dynamics, N, "initial", name, self.equality)
+
+    def frees(self, dynamics: Dynamics) -> Mask:
+        """See `Constraint.frees`. Raises ValueError."""
+        space, names = dynamics.space, dynamics.state_names
+        given: Any = range(space.nx) if self.free is None else self.free
+        wanted = np.zeros(space.nx, np.bool_)
+        for entry in given if isinstance(given, Iterable) and not isinstance(given, str) else [given]:
+            if isinstance(entry, str):
+                wanted[names.index(choose("free: state", entry, names))] = True
+            elif isinstance(entry, (int, np.integer)) and not isinstance(entry, bool) and -space.nx <= entry < space.nx:
+                wanted[entry] = True
+            else:
+                raise ValueError(f"free must name entries of the state, 0 to {space.nx - 1} or names, got {entry!r}")
+        if not wanted.any():
+            raise ValueError("free must name at least one entry of the state")
+        directions = np.zeros(space.ndx, np.bool_)
+        directions[space.plain_dx] = wanted[space.plain_x]
+        for part in space.parts:
+            for entries, dx in zip(part.x, part.dx, strict=True):
+                if wanted[entries].any() and not wanted[entries].all():
+                    together = ", ".join(names[i] for i in np.sort(entries))
+                    raise ValueError(f"free must name all of the entries {together} or none: they turn together")
+                directions[dx] = wanted[entries].all()
+        return directions
 
 
 @dataclass(frozen=True)
@@ -206,26 +261,39 @@ class _JacobianOfState:
         return by_x, np.zeros((len(by_x), self.nu))
 
 
-def bind_all(given: Any, dynamics: Dynamics, N: int) -> tuple[tuple[BoundConstraint, ...], tuple[Box, ...]]:
-    """Fit all constraints of a problem: those with residuals, and limits of controls. Raises ValueError."""
+class BoundConstraints(NamedTuple):
+    """All constraints of a problem on its horizon."""
+
+    residuals: tuple[BoundConstraint, ...]
+    boxes: tuple[Box, ...]
+    """Limits of the controls."""
+    free: Mask | None
+    """Tangent directions of the initial state that are unknown; None for none. Shape (ndx,)."""
+
+
+def bind_all(given: Any, dynamics: Dynamics, N: int) -> BoundConstraints:
+    """Fit all constraints of a problem. Raises ValueError."""
     if not isinstance(given, (Constraint, Sequence)):
         raise ValueError(f"constraints must be a list of mjslq.constraints, got {type(given).__name__}")
     constraints = [given] if isinstance(given, Constraint) else list(given)
     bound: list[BoundConstraint] = []
     boxes: list[Box] = []
+    free: Mask | None = None
     for i, constraint in enumerate(constraints):
         if not isinstance(constraint, Constraint):
             raise ValueError(f"constraints[{i}] must be one of mjslq.constraints, got {type(constraint).__name__}")
     for i, (constraint, name) in enumerate(zip(constraints, _names(constraints), strict=True)):
         try:
-            found = constraint.bind(dynamics, N, name)
+            found, frees = constraint.bind(dynamics, N, name), constraint.frees(dynamics)
         except ValueError as error:
             raise ValueError(f"constraints[{i}] ({type(constraint).__name__} {name!r}): {error}") from None
         if isinstance(found, Box):
             boxes.append(found)
-        else:
+        elif found is not None:
             bound.append(found)
-    return tuple(bound), tuple(boxes)
+        if frees is not None:
+            free = frees if free is None else free | frees
+    return BoundConstraints(tuple(bound), tuple(boxes), free)
 
 
 def _names(constraints: Sequence[Constraint]) -> list[str]:
@@ -250,6 +318,20 @@ def _names(constraints: Sequence[Constraint]) -> list[str]:
         taken.add(name)
         names.append(name)
     return names
+
+
+def _of_state(
+    letter: str, f: Any, jacobian: Any, dynamics: Dynamics, N: int, when: When, name: str, equality: bool
+) -> BoundConstraint:
+    """A constraint on a function of one knot's state alone."""
+    if not callable(f):
+        raise ValueError(f"{letter}(x) must be a function, got {type(f).__name__}")
+    of_state = None if jacobian is None else _JacobianOfState(jacobian, dynamics.nu)
+    function = UserFunction(letter, _OfState(f), dynamics.nx, dynamics.nu, of_state)
+    steps = dynamics.steps(N)
+    return _function_constraint(
+        name, residuals.bind_function(dynamics, function, knots_of(when, steps), steps), equality
+    )
 
 
 def _function_constraint(name: str, residual: residuals.BoundResidual, equality: bool) -> BoundConstraint:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, TextIO
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from mjslq import starts
@@ -48,6 +47,8 @@ class MethodInfo:
     """Stopping options that differ from those of the others."""
     takes_constraints: bool = False
     """Whether it takes constraints beside the limits of the controls."""
+    takes_free_start: bool = False
+    """Whether it takes initial states that are free (`constraints.Initial`)."""
 
     @property
     def options(self) -> dict[str, Any]:
@@ -58,10 +59,11 @@ class MethodInfo:
 METHODS = {
     "auto": MethodInfo(
         Auto, "Gauss-Newton first, second derivatives where it is slow, a multiplier where the model is poor",
-        "first derivatives, second ones where needed", RECORDS["auto"], True,
+        "first derivatives, second ones where needed", RECORDS["auto"], True, takes_free_start=True,
     ),
     "slq": MethodInfo(
-        SLQ, "Gauss-Newton by LQ tracking sweeps, with a line search", "first derivatives", RECORDS["slq"], True
+        SLQ, "Gauss-Newton by LQ tracking sweeps, with a line search", "first derivatives", RECORDS["slq"], True,
+        takes_free_start=True,
     ),
     "newton": MethodInfo(
         Newton, "Newton by LQ sweeps, made to descend, with a line search", "second derivatives",
@@ -77,7 +79,7 @@ METHODS = {
     "constrained": MethodInfo(
         Constrained, "augmented Lagrangian about the sweeps of auto: for problems with constraints",
         "first derivatives, second ones where needed", RECORDS["constrained"], defaults={"max_iterations": 1000},
-        takes_constraints=True,
+        takes_constraints=True, takes_free_start=True,
     ),
 }  # fmt: skip
 ALIASES = {"ilqr": "slq"}
@@ -176,6 +178,9 @@ def solve(
         if method == "auto":
             method, routed = CONSTRAINED, f"auto: {CONSTRAINED!r}, since the problem has constraints."
         _refuse_constraints(problem, method)
+    if problem.free_start is not None and not METHODS[method].takes_free_start:
+        takers = [name for name, entry in METHODS.items() if entry.takes_free_start]
+        raise ValueError(f"method {method!r} takes no free initial state; these do: {', '.join(takers)}")
     chosen = METHODS[method]
     stops = {"tol": tol, "max_iterations": max_iterations, "deadline": deadline}
     asked = {name: value for name, value in stops.items() if value is not None} | options
@@ -193,7 +198,7 @@ def solve(
         if check_derivatives:
             _refuse_wrong_derivatives(problem, start.U)
         if start.X is None:
-            here = Iterate(problem, problem.dynamics.rollouts(np.asarray(problem.x0)[None], start.U[None])[0])
+            here = Iterate(problem, problem.dynamics.rollouts(start.x0[None], start.U[None])[0])
         else:
             here = Iterate.guess(problem, start.X, start.U)
         outcome = descend(here, chosen.make(record), stopping, monitor, interrupts)

@@ -3,7 +3,7 @@
     minimize   J(U) = sum_n l_n(x_n, u_n)   subject to   x_{n+1} = f_n(x_n, u_n),  x_0 given,  u within limits
 
 (Sideris and Bobrow 2005, (1)-(2)), and to constraints lower <= r(x_n, u_n, t_n) <= upper. The controls U are the
-unknowns; the states follow by rollout.
+unknowns, and what `constraints.Initial` frees of x_0; the states follow by rollout.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from mjslq.costs import BoundTerm, CostTerm, Expansion
 from mjslq.dynamics.dynamics import Dynamics, Linearization
 from mjslq.lq.adjoint import adjoint
 from mjslq.lq.box import Box
+from mjslq.lq.problem import Mask
 from mjslq.options import check as check_options
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
@@ -43,7 +44,7 @@ class Problem:
     horizon: int
     """Number of steps N."""
     x0: ArrayLike
-    """Initial state. Shape (nx,)."""
+    """Initial state; what `constraints.Initial` makes free of it is where the search starts. Shape (nx,)."""
     costs: Sequence[CostTerm]
     """Terms of the cost, added up."""
     constraints: Sequence[kinds.Constraint] = field(default=(), kw_only=True)
@@ -69,6 +70,8 @@ class Problem:
     """Limits of the controls at each step, -inf and inf where there are none. Arrays of shape (N, nu)."""
     bound_constraints: tuple[BoundConstraint, ...] = field(init=False, repr=False, default=())
     """The constraints on this horizon, but for those of the controls alone, which `box` has."""
+    free_start: Mask | None = field(init=False, repr=False, default=None)
+    """Tangent directions of the initial state that are unknown; None for none. Shape (ndx,)."""
     _terms: tuple[BoundTerm, ...] = field(init=False, repr=False, default=())
     _unpenalized: Problem | None = field(init=False, repr=False, default=None)
 
@@ -111,7 +114,8 @@ class Problem:
     def _bind_constraints(self, bounds: Bounds, N: int) -> None:
         """Fit the constraints to the horizon; those of controls alone make the box smaller."""
         given, store = self.constraints, object.__setattr__
-        bound, boxes = kinds.bind_all(given, self.dynamics, N)
+        bound, boxes, free = kinds.bind_all(given, self.dynamics, N)
+        store(self, "free_start", free)
         if bounds.x is not None:
             bound = (*bound, bounds.bind_states(self.dynamics, N, [constraint.name for constraint in bound]))
         store(self, "constraints", (given,) if isinstance(given, kinds.Constraint) else tuple(given))
@@ -134,6 +138,13 @@ class Problem:
             shifted = tuple(constraint.at(t0) for constraint in self.bound_constraints)
             object.__setattr__(moved, "bound_constraints", shifted)
         return moved
+
+    def start(self, x: Array) -> Array:
+        """The initial state with its free entries taken from `x` (nx,). Shape (nx,)."""
+        if self.free_start is None:
+            return np.asarray(self.x0)
+        away = self.dynamics.difference(np.asarray(self.x0), x)
+        return self.dynamics.integrate(np.asarray(self.x0), np.where(self.free_start, away, 0.0))
 
     def rollout(self, U: ArrayLike) -> Trajectory:
         """Simulate from x0 under the controls `U` (N, nu)."""

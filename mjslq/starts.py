@@ -31,7 +31,9 @@ class Start(NamedTuple):
 
     U: Array
     """Within the limits. Shape (N, nu)."""
-    X: Array | None
+    x0: Array
+    """The problem's own initial state, with free entries from the guess. Shape (nx,)."""
+    X: Array | None = None
     """States that need not obey the dynamics, the first of them the problem's own. Shape (N + 1, nx)."""
     remark: str = ""
     """What was changed about the guess."""
@@ -117,8 +119,11 @@ def read(problem: Problem, guess: Any, U0: ArrayLike | None, X0: ArrayLike | Non
         raise ValueError("give either guess or U0 and X0, not both")
     if isinstance(guess, Result):
         guess = guess.policy if guess.gains is not None else guess.trajectory
+    x0 = np.asarray(problem.x0)
+    if isinstance(guess, (Policy, Trajectory)) and guess.X.shape[1:] == x0.shape:
+        x0 = problem.start(guess.X[0])
     if isinstance(guess, Policy):
-        return _clipped(problem, _followed(problem, guess))
+        return _clipped(problem, _followed(problem, guess, x0), x0)
     if isinstance(guess, Trajectory):
         U0 = guess.U
     elif guess is not None:
@@ -136,29 +141,29 @@ def read(problem: Problem, guess: Any, U0: ArrayLike | None, X0: ArrayLike | Non
             )
     given = problem.U0 if U0 is None else U0
     assert given is not None  # a problem fills in its own start when it is made
-    start = _clipped(problem, problem.checked_controls(given))
+    start = _clipped(problem, problem.checked_controls(given), x0)
     return start if X0 is None else start._replace(X=_states(problem, X0))
 
 
-def _clipped(problem: Problem, U: Array) -> Start:
+def _clipped(problem: Problem, U: Array, x0: Array) -> Start:
     """Controls within the limits, and a remark where they were not."""
     clipped = problem.box.clip(U)
     beyond = int((clipped != U).any(axis=1).sum())
     remark = f"The start was clipped to the limits of the controls at {beyond} steps." if beyond else ""
-    return Start(clipped, None, remark)
+    return Start(clipped, x0, None, remark)
 
 
 def _states(problem: Problem, X0: ArrayLike) -> Array:
-    """X0 as states (N + 1, nx), the first of them the problem's own."""
+    """X0 as states (N + 1, nx), the first of them the problem's own but for free entries."""
     dynamics = problem.dynamics
     X = as_array("X0", X0, (problem.horizon + 1, dynamics.nx))
     X = np.stack([dynamics.checked_start(x) for x in X])
-    X[0] = problem.x0
+    X[0] = problem.start(X[0])
     return X
 
 
-def _followed(problem: Problem, policy: Policy) -> Array:
-    """Controls of a rollout under a policy, whose horizon may be another. Shape (N, nu)."""
+def _followed(problem: Problem, policy: Policy, x0: Array) -> Array:
+    """Controls of a rollout from `x0` (nx,) under a policy, whose horizon may be another. Shape (N, nu)."""
     dynamics, N = problem.dynamics, problem.horizon
     if policy.X.shape[1] != dynamics.nx or policy.U.shape[1] != dynamics.nu:
         raise ValueError(
@@ -175,7 +180,7 @@ def _followed(problem: Problem, policy: Policy) -> Array:
     if policy.K is None:
         return U
     feedback = Feedback(np.ascontiguousarray(X), policy.K[at], problem.box.lower, problem.box.upper)
-    trajectory = dynamics.rollouts(np.asarray(problem.x0)[None], U[None].copy(), feedback)[0]
+    trajectory = dynamics.rollouts(x0[None], U[None].copy(), feedback)[0]
     return U if trajectory.diverged else np.array(trajectory.U)
 
 

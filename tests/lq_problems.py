@@ -54,7 +54,7 @@ def random_lq(seed):
 
 def dense(problem):
     """Hessian and gradient by the controls, states eliminated."""
-    A, B, Q, R, M, q, r, c = problem
+    A, B, Q, R, M, q, r, c, _ = problem
     N, nu = r.shape
     S, s = response(A, B, c)
     H, g = np.zeros((N * nu, N * nu)), r.ravel().copy()

@@ -125,7 +125,7 @@ def test_the_model_of_a_guess_holds_to_second_order():
     X[0] = problem.x0
     here, dX, dU = Iterate.guess(problem, X, U), rng.standard_normal(X.shape), rng.standard_normal(U.shape)
     dX[0] = 0.0
-    A, B, _, _, _, q, r, c = here.gauss_newton
+    A, B, _, _, _, q, r, c, _ = here.gauss_newton
     np.testing.assert_array_equal(c, here.gaps)
     e = 1e-5
     beyond, before = (Iterate.guess(problem, X + s * e * dX, U + s * e * dU) for s in (1.0, -1.0))

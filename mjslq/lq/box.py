@@ -4,6 +4,8 @@ Problem
 -------
     minimize the cost of `lq.problem` over U subject to lower_n <= u_n <= upper_n
 
+Free entries of x_0 have no limits and move along with the controls; the gradient by them is the costate at knot 0.
+
 Notation
 --------
     m(U), g(U)     cost of the controls with the states eliminated, and its gradient (an adjoint sweep)
@@ -167,7 +169,7 @@ def _by_guesses(problem: LQProblem, box: Box, held: Mask, lq: LQSolution, most: 
         if sweeps > most:
             return BoxSolution(lq, held, sweeps, False)
         held, sweeps = wanted, sweeps + 1
-        X = problem.states(U)
+        X = problem.states(U, lq.X[0])
         try:
             lq = _moved(solve(problem.about(X, U), held=held), X, U)
         except NotPositiveDefinite:
@@ -180,7 +182,7 @@ def _by_steps(
     """Iteration P at the head of this file, from controls `U` and the minimizer `lq` with controls `held`."""
     gradient, inside = _gradient(problem, X, U), box.contains(lq.U)
     while True:
-        before = U
+        before, x0 = U, X[0]
         if inside:
             X, U = lq.X, box.clip(lq.U)
         else:
@@ -189,7 +191,7 @@ def _by_steps(
         pushed = box.pushed(U, gradient)
         if inside and not _released(held, pushed, gradient).any():
             return BoxSolution(lq._replace(U=U), held, sweeps, True)
-        if sweeps >= rounds or (before == U).all():
+        if sweeps >= rounds or ((before == U).all() and (x0 == X[0]).all()):
             k = U + np.einsum("nij,nj->ni", lq.K, X[:-1])
             return BoxSolution(lq._replace(X=X, U=U, k=k), held, sweeps, False)
         held, sweeps = pushed, sweeps + 1
@@ -213,8 +215,13 @@ def _shifted(problem: LQProblem, control_shift: float | Array, state_shift: floa
 
 def _gradient(problem: LQProblem, X: Array, U: Array) -> Array:
     """g(U), the states following from the controls. Shape (N, nu)."""
+    return _gradients(problem, X, U)[1]
+
+
+def _gradients(problem: LQProblem, X: Array, U: Array) -> tuple[Array, Array]:
+    """Costates, the first of which is the gradient by x_0, and g(U). Shapes (N + 1, nx), (N, nu)."""
     here = problem.about(X, U)
-    return adjoint(here.A, here.B, here.q, here.r)[1]
+    return adjoint(here.A, here.B, here.q, here.r)
 
 
 def _moved(lq: LQSolution, X: Array, U: Array) -> LQSolution:
@@ -231,10 +238,12 @@ def _clipped_step(
     k = lq.k - np.einsum("nij,nj->ni", lq.K, X[:-1]) - U
     start, t = problem.value(X, U), 1.0
     Y, V = np.empty_like(X), np.empty_like(U)
+    by_x0 = 0.0 if problem.free is None else float(_gradients(problem, X, U)[0][0] @ (lq.X[0] - X[0]))
     while t > SMALLEST:
         for K, step in ((lq.K, t * k), (np.zeros_like(lq.K), t * (lq.U - U))):
+            Y[0] = X[0] + t * (lq.X[0] - X[0])
             _follow(problem.A, problem.B, problem.c, X, U, K, step, box.lower, box.upper, Y, V)
-            if problem.value(Y, V) <= start + C1 * float(np.vdot(gradient, V - U)):
+            if problem.value(Y, V) <= start + C1 * (t * by_x0 + float(np.vdot(gradient, V - U))):
                 return Y, V
         t *= 0.5
     return X, U
@@ -244,7 +253,6 @@ def _clipped_step(
 def _follow(A, B, c, X, U, K, k, lower, upper, Y, V):
     """Run the LQ problem's dynamics under v = [U + k - K (y - X)]."""
     N, nx, nu = B.shape
-    Y[0] = X[0]
     for n in range(N):
         for i in range(nu):
             v = U[n, i] + k[n, i]

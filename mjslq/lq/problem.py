@@ -1,7 +1,7 @@
 """The LQ tracking problem that the sweeps of this package solve: time-varying, affine, with cross terms.
 
     minimize   sum_{n<N} [ 1/2 x'Q_n x + q_n'x + 1/2 u'R_n u + r_n'u + u'M_n x ]  +  1/2 x_N'Q_N x_N + q_N'x_N
-    subject to x_{n+1} = A_n x_n + B_n u_n + c_n,   x_0 = 0
+    subject to x_{n+1} = A_n x_n + B_n u_n + c_n,   x_0 = 0, but for entries of x_0 that are unknown, too
 
 Targets are linear terms: Q (x - x_o) = Q x + q with q = -Q x_o.
 
@@ -39,10 +39,13 @@ class LQProblem(NamedTuple):
     q: Array
     r: Array
     c: Array
+    free: Mask | None = None
+    """Entries of x_0 that are unknown; None for none. Shape (nx,)."""
 
-    def states(self, U: Array) -> Array:
-        """States under the controls `U` (N, nu). Shape (N + 1, nx)."""
+    def states(self, U: Array, x0: Array | None = None) -> Array:
+        """States from `x0` (nx,), zero unless given, under the controls `U` (N, nu). Shape (N + 1, nx)."""
         X = np.empty_like(self.q)
+        X[0] = 0.0 if x0 is None else x0
         _states(self.A, self.B, self.c, U, X)
         return X
 
@@ -59,7 +62,7 @@ class LQProblem(NamedTuple):
     def about(self, X: Array, U: Array) -> LQProblem:
         """The same problem in the differences from (X, U): other linear terms, other gaps."""
         q, r, c = np.empty_like(self.q), np.empty_like(self.r), np.empty_like(self.c)
-        linear_terms_about(*self, X, U, q, r, c)
+        linear_terms_about(*self[:8], X, U, q, r, c)
         return self._replace(q=q, r=r, c=c)
 
 
@@ -86,16 +89,15 @@ class LQSolution(NamedTuple):
 
 
 class NotPositiveDefinite(ArithmeticError):
-    """R + B'P B is not positive definite at `step`: the problem has no minimizer."""
+    """R + B'P B is not positive definite at `step`, or P_0 on the free entries: the problem has no minimizer."""
 
-    def __init__(self, step: int) -> None:
-        super().__init__(f"the Hessian with respect to the control is not positive definite at step {step}")
+    def __init__(self, step: int, unknown: str = "control") -> None:
+        super().__init__(f"the Hessian with respect to the {unknown} is not positive definite at step {step}")
         self.step = step
 
 
 @njit(cache=True, nogil=True)
 def _states(A, B, c, U, X):
-    X[0] = 0.0
     for n in range(U.shape[0]):
         X[n + 1] = c[n]
         add_product(A[n], X[n], X[n + 1])

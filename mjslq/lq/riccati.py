@@ -14,6 +14,9 @@ Recursion, from P_N = Q_N + tau I, p_N = q_N down
     P <- Q + tau I - K'M - M'K + K'R_sigma K + F'P F       (Joseph's form)
     p <- q - K'r + F'(p + P c)
 
+Entries of x_0 that are free follow from what is left of the cost, 1/2 x_0'P_0 x_0 + p_0'x_0: x_0 = -P_0^-1 p_0 on
+these; directions that the cost does not tell apart stay zero.
+
 For held controls the rows and columns of G are those of the identity, and the right sides zero: all that follows is
 the recursion of the problem without them.
 
@@ -40,6 +43,8 @@ from mjslq.lq.dense import (
 from mjslq.lq.problem import LQProblem, LQSolution, Mask, NotPositiveDefinite, linear_terms_about
 from mjslq.validation import Array
 
+LEAST_CURVATURE = 1e-9
+"""Curvature of the cost along x_0 that is taken for none, relative to the largest."""
 WIDE = 1e4
 """Spread of the pivots of G up to which rounding stays below 1e-11 without refinement."""
 
@@ -70,9 +75,9 @@ def solve(
     Raises
     ------
     NotPositiveDefinite
-        Naming the step.
+        Naming the step; step 0 where the cost has no minimum over the free entries of x_0.
     """
-    A, B, Q, R, M, q, r, c = problem
+    A, B, Q, R, M, q, r, c, free = problem
     N, nx, nu = B.shape
     shift = np.full((N, nu), control_shift, dtype=np.float64)
     mask = np.zeros((N, nu), np.bool_) if held is None else held
@@ -83,7 +88,11 @@ def solve(
         raise NotPositiveDefinite(failed)
     k, p = np.empty((N, nu)), np.empty((N + 1, nx))
     X, U = np.empty((N + 1, nx)), np.empty((N, nu))
-    _vectors(A, B, q, r, c, mask, K, L, F, P, k, p, X, U)
+    _vectors(A, B, q, r, c, mask, K, L, F, P, k, p)
+    X[0] = 0.0
+    if free is not None:
+        X[0, free] = _start(P[0][np.ix_(free, free)], p[0, free])
+    _follow(A, B, c, K, k, X, U)
     if refinements is None:
         refinements = int(_spread(L, mask) > WIDE)
     if refinements:
@@ -93,11 +102,28 @@ def solve(
             linear_terms_about(A, B, Q, R, M, q, r, c, X, U, residual_q, residual_r, residual_c)
             residual_r += shift * U
             residual_q += state_shift * X
-            _vectors(A, B, residual_q, residual_r, residual_c, mask, K, L, F, P, *correction)
-            X += correction[2]
-            U += correction[3]
+            more_k, more_p, more_X, more_U = correction
+            _vectors(A, B, residual_q, residual_r, residual_c, mask, K, L, F, P, more_k, more_p)
+            more_X[0] = 0.0
+            if free is not None:
+                more_X[0, free] = _start(P[0][np.ix_(free, free)], more_p[0, free])
+            _follow(A, B, residual_c, K, more_k, more_X, more_U)
+            X += more_X
+            U += more_U
         k = U + np.einsum("nij,nj->ni", K, X[:-1])
     return LQSolution(K, k, X, U, P, p)
+
+
+def _start(P: Array, p: Array) -> Array:
+    """Minimizer of 1/2 x'P x + p'x. Raises NotPositiveDefinite."""
+    values, V = np.linalg.eigh(P) if np.isfinite(P).all() else (np.array([-np.inf]), P)
+    least = LEAST_CURVATURE * float(np.abs(values).max(initial=0.0))
+    if not (values >= -least).all():
+        raise NotPositiveDefinite(0, "initial state")
+    slope = V.T @ p
+    undetermined = (values <= least) & (np.abs(slope) <= LEAST_CURVATURE * np.abs(p).max(initial=0.0))
+    x: Array = -V @ np.where(undetermined, 0.0, slope / np.maximum(values, least or 1.0))
+    return x
 
 
 def _spread(L: Array, held: Mask) -> float:
@@ -168,8 +194,8 @@ def _hold(i, G, K):
 
 
 @njit(cache=True, nogil=True)
-def _vectors(A, B, q, r, c, held, K, L, F, P, k, p, X, U):
-    """Vector recursion with a factorization at hand: feedforward k and p back, states X and controls U forth."""
+def _vectors(A, B, q, r, c, held, K, L, F, P, k, p):
+    """Vector recursion with a factorization at hand: feedforward k and p back."""
     N, nx, nu = B.shape
     beyond, column, gaps = np.empty(nx), np.empty((nu, 1)), c.any()
     p[N] = q[N]
@@ -189,7 +215,12 @@ def _vectors(A, B, q, r, c, held, K, L, F, P, k, p, X, U):
             k[n, i] = -column[i, 0]
             for j in range(nx):
                 p[n, j] -= K[n, i, j] * r[n, i]
-    X[0] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def _follow(A, B, c, K, k, X, U):
+    """States X from X[0] on and controls U under the feedback."""
+    N, nx, nu = B.shape
     for n in range(N):
         for i in range(nu):
             total = k[n, i]

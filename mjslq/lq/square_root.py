@@ -60,7 +60,7 @@ with u_n, and weights of states, linear terms, offsets c, weighted rows and sing
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -192,7 +192,7 @@ class Factorization(NamedTuple):
         ------
         Infeasible, Unbounded
         """
-        changed = {
+        changed: dict[str, Any] = {
             name: _writable(as_array(name, value, getattr(self.problem, name).shape))
             for name, value in (("q", q), ("r", r), ("c", c))
             if value is not None
@@ -374,8 +374,10 @@ def _checked(problem: LQProblem) -> LQProblem:
         "A": (N, nx, nx), "B": (N, nx, nu), "Q": (N + 1, nx, nx), "R": (N, nu, nu), "M": (N, nu, nx),
         "q": (N + 1, nx), "r": (N, nu), "c": (N, nx),
     }  # fmt: skip
-    arrays = {name: as_array(name, getattr(problem, name), shape) for name, shape in shapes.items()}
-    return LQProblem(**{name: _writable(array) for name, array in arrays.items()})
+    arrays: dict[str, Any] = {
+        name: _writable(as_array(name, getattr(problem, name), shape)) for name, shape in shapes.items()
+    }
+    return LQProblem(**arrays)
 
 
 def _writable(array: Array) -> Array:

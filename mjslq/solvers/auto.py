@@ -167,6 +167,11 @@ class Auto(Method):
         self._watch(trial.start - trial.cost(alpha), trial.start)
         return Step(trial(alpha), alpha, trial.evaluations)
 
+    @property
+    def damped(self) -> bool:
+        """Whether multipliers weigh enough in the latest direction to make it short."""
+        return self._latest is not None and self._latest.share > LITTLE
+
     def remark(self) -> str:
         """What the method chose."""
         if self._second_from is None:

@@ -45,6 +45,7 @@ from mjslq.lq.box import Box
 from mjslq.lq.problem import LQProblem, NotPositiveDefinite
 from mjslq.lq.regularize import damped
 from mjslq.options import ConstrainedOptions
+from mjslq.solvers.active_set import EXACT, ActiveSet
 from mjslq.solvers.augmented import Augmented, scales_of, zero_multipliers
 from mjslq.solvers.auto import Auto
 from mjslq.solvers.iterate import Direction, Iterate
@@ -66,6 +67,8 @@ RESTARTS, LIGHTER, HEAVIER = 2, 0.1, 100.0
 """Times that the solve starts anew, and the factors on the first rho."""
 LEAST_SHARE = 1e-3
 """Least size of the cost, relative to that of the start."""
+NEAR_COMPLEMENTARY, NEAR_T = 1e-2, 1e-4
+"""Violation, complementarity and tolerance of the round from which on the last steps are tried."""
 FAILURES = 4
 """Times in a row that no step descends, at most; each time the weight is divided by `GROW`."""
 
@@ -77,7 +80,10 @@ class Best(NamedTuple):
     cost: float
     violations: dict[str, Array]
     iterate: Iterate
-    augmented: Augmented
+    augmented: Augmented | None
+    """The round that it is from; None for the last steps."""
+    multipliers: tuple[Array, ...]
+    """Those of the last steps."""
     tol: float
 
     @property
@@ -95,6 +101,9 @@ class Constrained(Method):
         self._rounds = self._restarts = self._iterations = self._failures = self._stalled = 0
         self._best: Best | None = None
         self._augmented: Augmented | None = None
+        self._active: ActiveSet | None = None
+        self._before: Iterate | None = None  # where the last steps began, while they are being made
+        self._switch, self._lost = 1.0, False
         self._hopeless = False
         self._said = ""
 
@@ -103,6 +112,7 @@ class Constrained(Method):
         self._start = start
         self._scales = scales_of(start.problem, start)
         self._size = cost_size(start, self._scales)
+        self._active = ActiveSet(start.problem, self._scales, self._size, self.options.curvature != "never")
         self._first_rho = self.options.penalty * self._size
         self._start_is_met = start.problem.violation(start.trajectory) <= self.options.tol_violation
         self._said = _fixed(start, self.options.tol_violation)
@@ -110,19 +120,28 @@ class Constrained(Method):
         return self._restart()
 
     def direction(self, here: Iterate) -> Direction:
-        """The direction of `auto` on L."""
+        """The direction of `auto` on L, or Newton's on the constraints in force."""
+        self._lost = False
+        if self._before is not None:
+            try:
+                return self._newton.direction(here)
+            except NotPositiveDefinite:
+                self._lost, here = True, self._before
         return self._inner.direction(here)
 
     def step(self, here: Iterate, direction: Direction, merit: Merit) -> Step:
         """A step on L, or the next round where this one is over."""
         if self._hopeless:
             return Step(None, status=Status.INFEASIBLE)
+        if self._before is not None:
+            return self._newton_step(here, direction)
         self._iterations += 1
         slope, accepted = abs(merit.slope(here, direction)), self.accepts(here)
-        small = not direction.limited and slope < self._t * (self._size + abs(here.cost))
+        small = not self._inner.damped and slope < self._t * (self._size + abs(here.cost))
         if (small and not accepted and self._iterations > 1) or self._iterations > ROUND:
             self._failures = 0
-            return self._next_round(here)
+            step = self._inner.step(here, direction, merit)
+            return self._next_round(here if step.iterate is None else step.iterate, step)
         step = self._inner.step(here, direction, merit)
         if step.iterate is None:
             lost = in_roundoff(slope, here.cost)
@@ -132,7 +151,7 @@ class Constrained(Method):
                 return Step(None, rollouts=step.rollouts, status=Status.CONVERGED)
             if self._failures > FAILURES:
                 return step if accepted or self._restarts == RESTARTS else self._give_up(here, step.rollouts)
-            return self._next_round(here, step.rollouts) if small or lost else self._soften(here, step.rollouts)
+            return self._next_round(here, step) if small or lost else self._soften(here, step.rollouts)
         self._failures = 0
         self._keep(step.iterate)
         return step
@@ -140,6 +159,9 @@ class Constrained(Method):
     def accepts(self, here: Iterate) -> bool:
         """Whether constraints are met and multipliers belong to limits that are touched."""
         tol, augmented = self.options.tol_violation, self._round
+        if self._before is not None:
+            exact = here.problem.violation(here.trajectory) <= min(EXACT, tol) and not self._lost
+            return exact and self._newton.error(here.trajectory, self._newton.multipliers) <= EXACT
         met = augmented.problem.violation(here.trajectory) <= tol
         return met and augmented.complementarity(here.trajectory) <= tol
 
@@ -147,7 +169,6 @@ class Constrained(Method):
         """The last iterate where the solve converged, or the best one."""
         if status is Status.CONVERGED or self._best is None:
             return last
-        self._augmented = self._best.augmented
         return self._best.iterate
 
     def duals(self, here: Iterate) -> Duals:
@@ -155,7 +176,10 @@ class Constrained(Method):
         if self._best is None:  # it failed before it began
             return Duals()
         best = self._best if self._best.iterate is here else self._seen(here)
-        named = zip(best.augmented.constraints, best.augmented.next_multipliers(here.trajectory), strict=True)
+        values = best.multipliers
+        if best.augmented is not None:
+            values = best.augmented.next_multipliers(here.trajectory)
+        named = zip(here.problem.unpenalized.bound_constraints, values, strict=True)
         multipliers = {constraint.name: multiplier for constraint, multiplier in named}
         return Duals(multipliers, best.violations, best.violation)
 
@@ -173,6 +197,20 @@ class Constrained(Method):
         assert self._augmented is not None
         return self._augmented
 
+    @property
+    def _newton(self) -> ActiveSet:
+        assert self._active is not None
+        return self._active
+
+    def _newton_step(self, here: Iterate, direction: Direction) -> Step:
+        """One of the last steps, or back to where they began."""
+        step = Step(None) if self._lost else self._newton.step(here, direction)
+        if step.iterate is not None:
+            self._keep(step.iterate)
+            return step
+        before, self._before, self._switch = self._before, None, 0.1 * self._switch
+        return Step(before, rollouts=step.rollouts, rejected=True)
+
     def _restart(self) -> Iterate:
         """The first round from the start."""
         self._augmented = Augmented.of(
@@ -186,8 +224,9 @@ class Constrained(Method):
         self._keep(here)
         return here
 
-    def _next_round(self, here: Iterate, rollouts: int = 0) -> Step:
+    def _next_round(self, here: Iterate, step: Step) -> Step:
         """Rules 2 and 3 at the head of this file, or the end."""
+        rollouts = step.rollouts
         e, rho = self._round.complementarity(here.trajectory), self._round.rho
         tol = self.options.tol_violation
         self._stalled = self._stalled + 1 if e > max(NOT_FALLING * self._least, tol) else 0
@@ -198,11 +237,14 @@ class Constrained(Method):
             rho = min(GROW * rho, LARGEST * self._size)
         self._last = e
         self._t = max(LEAST_T, min(TIGHTEN * self._t, OF_COMPLEMENTARITY * e))
-        self._augmented = self._round.updated(here.trajectory, rho)
+        before, multipliers = self._round, self._round.next_multipliers(here.trajectory)
+        self._augmented = before.updated(here.trajectory, rho)
         self._iterations, self._rounds = 0, self._rounds + 1
         there = self._augmented.about(here)
         self._keep(there)
-        return Step(there, rollouts=rollouts, rejected=True)
+        if e < self._switch * NEAR_COMPLEMENTARY and self._t <= self._switch * NEAR_T:
+            self._before, there = there, self._newton.begin(there, multipliers, before.rho)
+        return Step(there, step.alpha, rollouts, rejected=step.iterate is None)
 
     def _soften(self, here: Iterate, rollouts: int) -> Step:
         """The same round with a smaller weight, where no step descends: kinks of the losses are in the way."""
@@ -239,7 +281,9 @@ class Constrained(Method):
         violations = problem.violations(trajectory)
         worst = max((float(violation.max()) for violation in violations.values()), default=0.0)
         tol = self.options.tol_violation
-        return Best(worst, problem.cost(trajectory), violations, iterate, self._round, tol)
+        augmented = None if self._before is not None else self._round
+        multipliers = () if self._before is None else self._newton.multipliers
+        return Best(worst, problem.cost(trajectory), violations, iterate, augmented, multipliers, tol)
 
 
 def cost_size(start: Iterate, scales: tuple[Array, ...]) -> float:
@@ -275,12 +319,13 @@ def _decrease(model: LQProblem, box: Box) -> float:
 
 
 def _fixed(start: Iterate, tol: float) -> str:
-    """Which constraints the initial state violates where no control enters them: nothing can be done about these."""
+    """Which constraints the initial state violates where nothing free enters them: nothing can be done about these."""
+    free = start.problem.free_start
     for constraint in start.problem.unpenalized.bound_constraints:
-        if (
-            constraint.seen_at[0] > 0
-            or constraint.residual.jacobian(start.trajectory, start.linearization).u is not None
-        ):
+        if constraint.seen_at[0] > 0:
+            continue
+        J = constraint.residual.jacobian(start.trajectory, start.linearization)
+        if J.u is not None or (free is not None and isinstance(J.x, np.ndarray) and J.x[0][:, free].any()):
             continue
         violation = float(constraint.violation(start.trajectory)[0])
         if violation > tol:

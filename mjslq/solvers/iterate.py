@@ -33,7 +33,8 @@ class Direction(NamedTuple):
     """A search direction at an iterate."""
 
     X: Array
-    """Change of the states, by the linearized dynamics. Shape (N + 1, ndx)."""
+    """Change of the states, by the linearized dynamics, the first of them zero but for free entries.
+    Shape (N + 1, ndx)."""
     U: Array
     """Change of the controls. Shape (N, nu)."""
     k: Array
@@ -132,13 +133,14 @@ class Iterate:
         """The cost to second order, but for the curvature of dynamics and residuals: convex."""
         A, B, _, _ = self.linearization
         Q, R, M, q, r = self.expansion
+        free = self.problem.free_start
         if self.ends is None:
-            return LQProblem(A, B, Q, R, M, q, r, np.zeros(A.shape[:2]))
+            return LQProblem(A, B, Q, R, M, q, r, np.zeros(A.shape[:2]), free)
         J = self.problem.dynamics.difference_jacobian(self.trajectory.X[1:], self.ends)
         if J is not None:
             A, B = J @ A, J @ B
         assert self.gaps is not None
-        return LQProblem(A, B, Q, R, M, q, r, np.ascontiguousarray(self.gaps))
+        return LQProblem(A, B, Q, R, M, q, r, np.ascontiguousarray(self.gaps), free)
 
     def hamiltonian(self, costates: Array) -> LQProblem:
         """The LQ problem with the Hessians of l + lambda'f for given costates lambda. Shape (N + 1, ndx)."""
@@ -173,13 +175,25 @@ class Iterate:
         """dJ/dU without the entries that push against a limit: zero at a minimum. Shape (N, nu)."""
         return self.problem.box.projected(self.trajectory.U, self.gradient)
 
+    @property
+    def start_gradient(self) -> Array:
+        """dJ/dx_0 by the entries that are free, zero for others. Shape (ndx,)."""
+        return self._of_start(self.costates)
+
+    def _of_start(self, costates: Array) -> Array:
+        free = self.problem.free_start
+        return np.zeros(costates.shape[1]) if free is None else np.where(free, costates[0], 0.0)
+
     @cached_property
     def gradient_norm(self) -> float:
-        """Euclidean norm of the projected gradient; infinite where there are no finite derivatives."""
+        """Euclidean norm of the projected gradient, by controls and by free entries of the initial state.
+
+        Infinite where there are no finite derivatives.
+        """
         if not np.isfinite(self.cost):
             return np.inf
         with np.errstate(over="ignore", invalid="ignore"):
-            norm = float(np.linalg.norm(self.projected_gradient))
+            norm = _norm(self.projected_gradient, self.start_gradient)
         return norm if np.isfinite(norm) else np.inf
 
     def stationarity(self, direction: Direction) -> float:
@@ -188,4 +202,9 @@ class Iterate:
             return self.gradient_norm
         model = self.gauss_newton
         gradient = model.r + np.einsum("nij,ni->nj", model.B, direction.costates[1:])
-        return float(np.linalg.norm(self.problem.box.projected(self.trajectory.U, gradient)))
+        projected = self.problem.box.projected(self.trajectory.U, gradient)
+        return _norm(projected, self._of_start(direction.costates))
+
+
+def _norm(by_controls: Array, by_start: Array) -> float:
+    return float(np.hypot(np.linalg.norm(by_controls), np.linalg.norm(by_start)))

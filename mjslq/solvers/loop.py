@@ -121,6 +121,9 @@ def _converged(here: Iterate, ahead: Direction, method: Method, stopping: Stoppi
             f"{stopping.tol_gradient:g}."
         )
     length, size = float(np.linalg.norm(ahead.U)), float(np.linalg.norm(here.trajectory.U))
+    if here.problem.free_start is not None:  # x_0 is an unknown beside the controls
+        length = float(np.hypot(length, np.linalg.norm(ahead.X[0])))
+        size = float(np.hypot(size, np.linalg.norm(here.trajectory.X[0])))
     if ahead.limited:
         length = np.inf if ahead.undamped is None else max(length, ahead.undamped)
     if method.tests_direction and length <= stopping.tol_direction * size:

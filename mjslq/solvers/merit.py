@@ -3,7 +3,7 @@
     phi = J + nu sum_n |c_n|_1,     nu at least twice the largest costate, so that phi falls along the sweep's step:
     phi' = q'x_bar + r'u_bar - nu sum_n |c_n|_1
 
-Without gaps phi is the cost, and phi' = (dJ/dU)'u_bar.
+Without gaps phi is the cost, and phi' = (dJ/dU)'u_bar + (dJ/dx_0)'x_bar_0.
 
 Source: Nocedal and Wright, Numerical Optimization, section 18.3 (the l1 merit function).
 """
@@ -46,7 +46,7 @@ class CostAndGaps:
     def slope(self, here: Iterate, direction: Direction) -> float:
         """See `Merit`."""
         if here.gaps is None:
-            return float(np.vdot(here.gradient, direction.U))
+            return float(np.vdot(here.gradient, direction.U) + here.start_gradient @ direction.X[0])
         model = here.gauss_newton
         along = float(np.vdot(model.q, direction.X) + np.vdot(model.r, direction.U))
         return along - self.weight * float(np.abs(here.gaps).sum())

@@ -35,6 +35,7 @@ Nocedal and Wright, Numerical Optimization, section 18.1.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -117,7 +118,7 @@ def by_blend(model: LQProblem, convex: LQProblem, box: Box) -> Damped:
     """Keep the largest share of the curvature that leaves the problem convex."""
     share = 0.5
     while share > LEAST_SHARE:
-        parts = {name: _between(getattr(convex, name), getattr(model, name), share) for name in "QRM"}
+        parts: dict[str, Any] = {name: _between(getattr(convex, name), getattr(model, name), share) for name in "QRM"}
         try:
             return solve_with(convex._replace(**parts), box, 0.0)
         except NotPositiveDefinite:

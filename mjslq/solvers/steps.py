@@ -4,8 +4,8 @@
     closed-loop     u_n = [ u_ref,n + alpha k_n - K_n (x_n - x_ref,n) ]       under the sweep's feedback, which
                                                                               unstable systems need
 
-[.] clips to the limits of the controls. Steps that had to be shortened are followed by a search along the previous
-change of the controls (`acceleration`).
+[.] clips to the limits of the controls; free entries of the initial state move by alpha x_bar_0. Steps that had to be
+shortened are followed by a search along the previous change of the controls (`acceleration`).
 
 A guess of the states moves as a whole, X <- X + t x_bar, U <- U + t u_bar, with t halved until the merit falls; a full
 step closes the gaps to first order. Once they are nearly closed, or steps become short while a rollout has the lower
@@ -72,16 +72,20 @@ def candidates(here: Iterate, direction: Direction, alphas: Sequence[float], ste
     closed = step == "closed-loop" and direction.K is not None
     change = direction.k if closed else direction.U
     U = reference.U + np.multiply.outer(np.asarray(alphas, dtype=np.float64), change)
+    x0s = None
+    if problem.free_start is not None:
+        x0s = problem.dynamics.integrate(reference.X[0], np.multiply.outer(alphas, direction.X[0]))
     if closed:
         assert direction.K is not None
         feedback = Feedback(reference.X, direction.K, problem.box.lower, problem.box.upper)
-        return simulated(here, U, feedback)
-    return simulated(here, problem.box.clip(U))
+        return simulated(here, U, feedback, x0s)
+    return simulated(here, problem.box.clip(U), None, x0s)
 
 
-def simulated(here: Iterate, U: Array, feedback: Feedback | None = None) -> list[Iterate]:
-    """Iterates by rollouts under each of the controls `U` (m, N, nu), from where `here` starts."""
-    x0s = np.tile(here.trajectory.X[0], (len(U), 1))
+def simulated(here: Iterate, U: Array, feedback: Feedback | None = None, x0s: Array | None = None) -> list[Iterate]:
+    """Iterates by rollouts under each of the controls `U` (m, N, nu), from `x0s` (m, nx) or where `here` starts."""
+    if x0s is None:
+        x0s = np.tile(here.trajectory.X[0], (len(U), 1))
     return [Iterate(here.problem, trajectory) for trajectory in here.problem.dynamics.rollouts(x0s, U, feedback)]
 
 
