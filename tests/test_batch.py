@@ -142,20 +142,24 @@ def test_problems_are_taken_as_there_is_room():
 
 
 KILLED = """
-import sys
+import sys, time
 sys.path.insert(0, {tests!r})
 from test_batch import Inline, pole
 import mjslq
 
 for solved in mjslq.solve_many([pole(t / 30) for t in range(30)], Inline(), out={out!r}):
     print(solved.index, solved.resumed, flush=True)
+    if solved.index == 4 and sys.argv[1:] == ["wait"]:
+        time.sleep(600.0)
 """
 
 
 def test_a_killed_run_resumes(tmp_path):
     script, out = tmp_path / "many.py", tmp_path / "runs"
     script.write_text(KILLED.format(tests=os.path.dirname(__file__), out=str(out)))
-    process = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True, start_new_session=True)
+    process = subprocess.Popen(
+        [sys.executable, str(script), "wait"], stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
     for line in process.stdout:
         if line.startswith("4 "):
             break
