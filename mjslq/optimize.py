@@ -26,6 +26,7 @@ from mjslq.solvers.method import Method
 from mjslq.solvers.monitor import Monitor
 from mjslq.solvers.newton import Newton
 from mjslq.solvers.slq import SLQ
+from mjslq.solvers.square_root_sweep import SquareRootSweep
 from mjslq.solvers.trust_region import TrustRegion
 from mjslq.validation import choose
 
@@ -78,6 +79,10 @@ METHODS = {
         Constrained, "augmented Lagrangian about the sweeps of auto: for problems with constraints",
         "first derivatives, second ones where needed", RECORDS["constrained"], defaults={"max_iterations": 1000},
         takes_constraints=True,
+    ),
+    "square-root-sweep": MethodInfo(
+        SquareRootSweep, "constraints corrected by fixed percentages, by Potter's sweep, as McQuade's thesis has it",
+        "first derivatives", RECORDS["square-root-sweep"], takes_constraints=True,
     ),
 }  # fmt: skip
 ALIASES = {"ilqr": "slq"}
