@@ -113,6 +113,8 @@ class SquareRootSweepOptions:
     """Constraints that alone are corrected until the first step, equalities beside them; none for all."""
     overlap: float = 1.0
     """Share of a control limit's correction where a row of state and control acts at the same step, at most 1."""
+    step: str = "closed-loop"
+    """"closed-loop": rollouts under the sweep's feedback; "open-loop": the changes of the controls as they are."""
     weights: tuple[float, ...] | None = None
     """R of the changes of the controls, one a control; ones unless given."""
 
@@ -124,6 +126,7 @@ class SquareRootSweepOptions:
         if positive("threshold", self.threshold) < 1.0:
             raise ValueError(f"threshold must be at least 1, got {self.threshold!r}")
         _check_flag("cost_row", self.cost_row)
+        choose("step", self.step, STEPS)
         check_tolerance("degradation", self.degradation)
         if isinstance(self.first, str) or not all(isinstance(name, str) for name in _listed("first", self.first)):
             raise ValueError(f"first must be a list of names of constraints, got {self.first!r}")

@@ -57,6 +57,7 @@ VALUES = {
         "degradation": TOLERANCE,
         "first": ([(), ("controls",), ["controls"]], ["controls", (1,), None]),
         "overlap": SHARES,
+        "step": SEARCH["step"],
         "weights": ([None, (2.0,), [1.0]], [1.0, (0.0,), ("a",), (-1.0,)]),
     },
 }
@@ -223,8 +224,8 @@ def test_methods_that_are_none_are_refused():
     for wrong, sentence in (
         (
             "sql",
-            r"unknown method 'sql'; there are: auto, slq, newton, trust-region, gradient, constrained, square-root-sweep, ilqr; "
-            r"did you mean 'slq'\?",
+            r"unknown method 'sql'; there are: auto, slq, newton, trust-region, gradient, constrained, "
+            r"square-root-sweep, ilqr; did you mean 'slq'\?",
         ),
         (None, "unknown method None; there are"),
         ("ddp", "unknown method 'ddp'; there are"),

@@ -12,9 +12,10 @@ An iteration
     dw_n = -c_w w_n          other constraints, only where they are violated                   (2.31), (2.41)
     dJ = -c_J |J|            the cost, a terminal row, too                                     (2.28), (4.16)
 
-by one square-root sweep (`lq.square_root`), and a rollout under its feedback (3.73). Running costs become a terminal
-one as in (4.6): an additional state z_{n+1} = z_n + l(x_n, u_n), which is part of the LQ problem only. Its feedback is
-the one planned, since a simulated trajectory has no z. Limits of the controls are constraints like the others: (5.13).
+by one square-root sweep (`lq.square_root`), and a rollout under its feedback (3.73), or with du alone (3.108). Running
+costs become a terminal one as in (4.6): by an additional state z_{n+1} = z_n + l(x_n, u_n), in the LQ problem only.
+Its feedback is the one planned, since a simulated trajectory has no z. Limits of the controls are constraints like the
+others: (5.13).
 
 Acceptance (section 2.5), V being the root of the summed squares of the violations:
 
@@ -30,10 +31,11 @@ from u = -2, and in which no c_J is accepted while there are violations.
 
 Thresholding (4.20): a limit counts as violated from `threshold` times its size on (a limit of zero: from
 `threshold` - 1 on). The threshold shrinks towards 1 when nothing is accepted, and every `PERIOD` iterations. At 1,
-limits that are touched are rows, so that they hold.
+limits that are touched are rows, so that they hold, once none is violated.
 
 Too many rows at a time (section 5.4-5.5): in the first iteration only the constraints named by `first` are corrected,
-beside equalities; `overlap` is the share of a control limit's correction where other rows act at the same step.
+beside equalities, and V counts them alone; `overlap` is the share of a control limit's correction where other rows act
+at the same step.
 
 End
 ---
@@ -127,6 +129,7 @@ class SquareRootSweep(Method):
         self._plan: Plan | None = None
         self._taken = self._without = 0  # steps accepted; those without the row of the cost
         self._since = 0  # iterations since the threshold shrank
+        self._opening = bool(options.first)  # only the constraints named by `first` are corrected yet
         self._said = ""
 
     def begin(self, start: Iterate) -> Iterate:
@@ -145,6 +148,7 @@ class SquareRootSweep(Method):
         model = here.gauss_newton
         wanted = self.options.cost_row and bool(np.any(model.q) or np.any(model.r)) and here.cost != 0.0
         self._said, self._plan = "", None
+        self._opening = self._opening and self._counted(here) > 0.0
         for with_cost in (True, False) if wanted else (False,):
             plan = self._planned(here, with_cost)
             try:
@@ -167,7 +171,7 @@ class SquareRootSweep(Method):
             trial = self._tried(here, plan)
             spent += trial.rollouts
             if trial.iterate is not None:
-                self._taken += 1
+                self._taken, self._opening = self._taken + 1, False
                 if plan.has_cost:
                     self._c_J = min(GROW * trial.shares.cost, self.options.cost_decrease)
                 else:
@@ -217,13 +221,19 @@ class SquareRootSweep(Method):
 
     def _active(self, rows: Rows) -> NDArray[np.bool_]:
         """Equalities, and limits that are violated by more than the threshold allows (4.20)."""
-        beyond = rows.violation - (self._threshold - 1.0) * rows.size
-        touched = np.minimum(np.abs(rows.value - rows.lower), np.abs(rows.value - rows.upper)) <= ROUNDOFF * rows.size
-        active = rows.equality | (beyond > 0.0) | (touched & (self._threshold == 1.0))
-        if self.options.first and self._taken == 0:
-            names = self.options.first
-            active &= rows.equality | np.isin(rows.owner, [self._names.index(name) for name in names])
+        beyond = rows.violation > (self._threshold - 1.0) * rows.size + ROUNDOFF * rows.size
+        active = rows.equality | beyond
+        if self._threshold == 1.0 and not (beyond & ~rows.equality).any():
+            near = np.minimum(np.abs(rows.value - rows.lower), np.abs(rows.value - rows.upper))
+            active |= near <= ROUNDOFF * rows.size
+        if self._opening:
+            active &= rows.equality | self._named(rows)
         return active & rows.movable
+
+    def _named(self, rows: Rows) -> NDArray[np.bool_]:
+        """Rows of the constraints in the option `first`."""
+        named: NDArray[np.bool_] = np.isin(rows.owner, [self._names.index(name) for name in self.options.first])
+        return named
 
     def _shared(self, rows: Rows) -> Array:
         """1, or `overlap` for limits of the controls where rows that the state enters act at the same step."""
@@ -246,7 +256,7 @@ class SquareRootSweep(Method):
             except Infeasible as error:
                 self._said = _contradiction(here, plan, error)
                 return Trial(None, shares, rollouts - 1)
-            there = _rolled_out(here, found)
+            there = _rolled_out(here, found, self.options.step)
             better = np.isfinite(there.cost) and (self._counted(there) < V or self._counted(there) == 0.0)
             if better and (there.cost < here.cost or (V > 0.0 and there.cost <= worst)):
                 return Trial(there, shares, rollouts)
@@ -258,7 +268,10 @@ class SquareRootSweep(Method):
         rows = there.rows
         violation, least = rows.violation, NEGLIGIBLE * self.options.tol_violation
         allowed = np.where(rows.equality, 0.0, (self._threshold - 1.0) * rows.size)
-        return float(np.linalg.norm(violation[violation > np.maximum(allowed, least)]))
+        counts = violation > np.maximum(allowed, least)
+        if self._opening:
+            counts &= self._named(rows)
+        return float(np.linalg.norm(violation[counts]))
 
     def _shrink(self) -> None:
         """Bring the threshold nearer to 1; percentages start anew."""
@@ -308,11 +321,13 @@ def _direction(here: ConstrainedIterate, found: Solution) -> Direction:
     return Direction(X, found.U, k, K, expected, np.zeros(found.U.shape, dtype=bool))
 
 
-def _rolled_out(here: ConstrainedIterate, found: Solution) -> ConstrainedIterate:
-    """The step under the sweep's feedback (3.73)."""
+def _rolled_out(here: ConstrainedIterate, found: Solution, step: str) -> ConstrainedIterate:
+    """The step under the sweep's feedback (3.73), or with the changes of the controls as they are (3.108)."""
     reference, dynamics = here.trajectory, here.problem.dynamics
-    k, K = _feedback(found, dynamics.ndx)
-    feedback = Feedback.unlimited(reference.X, K)
+    k, feedback = found.U, None
+    if step == "closed-loop":
+        k, K = _feedback(found, dynamics.ndx)
+        feedback = Feedback.unlimited(reference.X, K)
     (trajectory,) = dynamics.rollouts(reference.X[:1], (reference.U + k)[None], feedback)
     return ConstrainedIterate(here.problem, trajectory)
 
