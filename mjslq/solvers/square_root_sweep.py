@@ -57,6 +57,7 @@ from mjslq.lq import square_root
 from mjslq.lq.problem import LQProblem
 from mjslq.lq.square_root import Factorization, Infeasible, Solution, StateRows
 from mjslq.options import SquareRootSweepOptions
+from mjslq.problem import Problem
 from mjslq.solvers.constraint_rows import ConstrainedIterate, Rows, split
 from mjslq.solvers.iterate import Direction, Iterate
 from mjslq.solvers.merit import Merit
@@ -133,13 +134,8 @@ class SquareRootSweep(Method):
         self._said = ""
 
     def begin(self, start: Iterate) -> Iterate:
-        """The start, its gradient projected; names that there are not are refused."""
-        self._names = [constraint.name for constraint in start.problem.bound_constraints] + [RESERVED]
-        for name in self.options.first:
-            choose("constraint in option 'first'", name, self._names)
-        nu = start.problem.dynamics.nu
-        if self.options.weights is not None and len(self.options.weights) != nu:
-            raise ValueError(f"option 'weights' must have one number a control, {nu}, got {len(self.options.weights)}")
+        """The start, its gradient projected."""
+        self._names = names_in(start.problem)
         return ConstrainedIterate(start.problem, start.trajectory)
 
     def direction(self, here: Iterate) -> Direction:
@@ -292,6 +288,20 @@ class SquareRootSweep(Method):
         )
 
 
+def names_in(problem: Problem) -> list[str]:
+    """Names of the constraints in the order of their rows, limits of the controls last."""
+    return [constraint.name for constraint in problem.bound_constraints] + [RESERVED]
+
+
+def check_options(options: SquareRootSweepOptions, problem: Problem) -> None:
+    """Refuse, by ValueError, names of constraints that the problem has not, and weights for other controls."""
+    for name in options.first:
+        choose("constraint in option 'first'", name, names_in(problem))
+    nu = problem.dynamics.nu
+    if options.weights is not None and len(options.weights) != nu:
+        raise ValueError(f"option 'weights' must have one number a control, {nu}, got {len(options.weights)}")
+
+
 def _min_norm(model: LQProblem, weights: Array, augmented: bool) -> LQProblem:
     """(2.46) with the dynamics of the model, and with z for the cost if `augmented`."""
     N, ndx, nu = model.B.shape
@@ -334,7 +344,7 @@ def _rolled_out(here: ConstrainedIterate, found: Solution, step: str) -> Constra
 
 def _contradiction(here: ConstrainedIterate, plan: Plan, error: Infeasible) -> str:
     """Which constraints' rows contradict each other."""
-    names = [constraint.name for constraint in here.problem.bound_constraints] + [RESERVED]
+    names = names_in(here.problem)
     end = plan.active.step == len(here.trajectory.U)
     owners = {"path": plan.active.owner[~end], "terminal": plan.active.owner[end]}
     found: dict[str, list[int]] = {}
