@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from mjslq import starts
 from mjslq.compiling import CompileClock
 from mjslq.log import IterationLog
-from mjslq.options import COMMON, RECORDS, Stopping, check_tolerance, names
+from mjslq.options import COMMON, RECORDS, SquareRootSweepOptions, Stopping, check_tolerance, names
 from mjslq.problem import Problem
 from mjslq.result import Result
 from mjslq.solvers.auto import Auto
@@ -25,6 +25,7 @@ from mjslq.solvers.method import Method
 from mjslq.solvers.monitor import Monitor
 from mjslq.solvers.newton import Newton
 from mjslq.solvers.slq import SLQ
+from mjslq.solvers.square_root_sweep import SquareRootSweep, check_options
 from mjslq.solvers.trust_region import TrustRegion
 from mjslq.validation import choose
 
@@ -80,6 +81,10 @@ METHODS = {
         Constrained, "augmented Lagrangian about the sweeps of auto: for problems with constraints",
         "first derivatives, second ones where needed", RECORDS["constrained"], defaults={"max_iterations": 1000},
         takes_constraints=True, takes_free_start=True,
+    ),
+    "square-root-sweep": MethodInfo(
+        SquareRootSweep, "constraints corrected by fixed percentages, by Potter's sweep, as McQuade's thesis has it",
+        "first derivatives", RECORDS["square-root-sweep"], takes_constraints=True,
     ),
 }  # fmt: skip
 ALIASES = {"ilqr": "slq"}
@@ -187,6 +192,8 @@ def solve(
     settings = dict(chosen.defaults) | _settings(problem, method, preset, asked)
     stopping = _stopping(settings)
     record = chosen.record(**settings)
+    if isinstance(record, SquareRootSweepOptions):
+        check_options(record, problem)
     start = starts.read(problem, guess, U0, X0)
     if start.X is not None and problem.bound_constraints:
         raise ValueError("a problem with constraints takes no state guess X0; give controls, U0, or a policy, guess")

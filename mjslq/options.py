@@ -92,6 +92,50 @@ class ConstrainedOptions(AutoOptions):
 
 
 @dataclass(frozen=True)
+class SquareRootSweepOptions:
+    """Options of `square-root-sweep`."""
+
+    tol_violation: float = 1e-6
+    """Largest violation of a constraint, in its own unit."""
+    cost_decrease: float = 0.1
+    """c_J, the share of the cost that an iteration is to take away, at most 1; the largest one that is tried."""
+    terminal_share: float = 1.0
+    """c_m, the share of the error of terminal equalities that an iteration corrects, at most 1."""
+    path_share: float = 1.0
+    """c_w, the share of other violations that it corrects, at most 1."""
+    threshold: float = 1.0
+    """Share of a limit from which on it counts as violated at first, at least 1 (the thesis has 1.1 once)."""
+    cost_row: bool = True
+    """Whether to ask for a decrease of the cost; otherwise only the constraints are met."""
+    degradation: float = 0.1
+    """Share of the cost by which it may rise where violations fall."""
+    first: tuple[str, ...] = ()
+    """Constraints that alone are corrected until the first step, equalities beside them; none for all."""
+    overlap: float = 1.0
+    """Share of a control limit's correction where a row of state and control acts at the same step, at most 1."""
+    step: str = "closed-loop"
+    """"closed-loop": rollouts under the sweep's feedback; "open-loop": the changes of the controls as they are."""
+    weights: tuple[float, ...] | None = None
+    """R of the changes of the controls, one a control; ones unless given."""
+
+    def __post_init__(self) -> None:
+        positive("tol_violation", self.tol_violation)
+        for name in ("cost_decrease", "terminal_share", "path_share", "overlap"):
+            if positive(name, getattr(self, name)) > 1.0:
+                raise ValueError(f"{name} must not be above 1, got {getattr(self, name)!r}")
+        if positive("threshold", self.threshold) < 1.0:
+            raise ValueError(f"threshold must be at least 1, got {self.threshold!r}")
+        _check_flag("cost_row", self.cost_row)
+        choose("step", self.step, STEPS)
+        check_tolerance("degradation", self.degradation)
+        if isinstance(self.first, str) or not all(isinstance(name, str) for name in _listed("first", self.first)):
+            raise ValueError(f"first must be a list of names of constraints, got {self.first!r}")
+        if self.weights is not None:
+            for weight in _listed("weights", self.weights):
+                positive("weights", weight)
+
+
+@dataclass(frozen=True)
 class SLQOptions(Search):
     """Options of `slq`."""
 
@@ -161,6 +205,7 @@ RECORDS: dict[str, type[Any]] = {
     "trust-region": TrustRegionOptions,
     "gradient": GradientOptions,
     "constrained": ConstrainedOptions,
+    "square-root-sweep": SquareRootSweepOptions,
 }
 """The record of each method."""
 COMMON = ("tol", *(field.name for field in fields(Stopping)))
@@ -204,3 +249,10 @@ def _check_pair(name: str, given: Any, fits: Any, what: str) -> None:
         low, high = np.nan, np.nan
     if not fits(low, high):
         raise ValueError(f"{name} must be a pair of numbers with {what}, got {given!r}")
+
+
+def _listed(name: str, given: Any) -> list[Any]:
+    """What a list or tuple holds. Raises ValueError."""
+    if not isinstance(given, (list, tuple)):
+        raise ValueError(f"{name} must be a list, got {given!r}")
+    return list(given)

@@ -47,6 +47,19 @@ VALUES = {
         "tol_violation": ([1e-9, 1e-3, 1], [*NUMBER, None]),
         "penalty": ([0.01, 10.0, 2], [*NUMBER, None]),
     },
+    "square-root-sweep": {
+        "tol_violation": ([1e-9, 1], [*NUMBER, None]),
+        "cost_decrease": (SHARES := ([0.01, 1], [*NUMBER, 1.1, None])),
+        "terminal_share": SHARES,
+        "path_share": SHARES,
+        "threshold": ([1, 1.1], [*NUMBER, 0.9, None]),
+        "cost_row": ([True, False], [1, None]),
+        "degradation": TOLERANCE,
+        "first": ([(), ("controls",), ["controls"]], ["controls", (1,), None]),
+        "overlap": SHARES,
+        "step": SEARCH["step"],
+        "weights": ([None, (2.0,), [1.0]], [1.0, (0.0,), ("a",), (-1.0,)]),
+    },
 }
 """Of each method: option -> (right values, wrong values)."""
 STOPPING = {
@@ -211,8 +224,8 @@ def test_methods_that_are_none_are_refused():
     for wrong, sentence in (
         (
             "sql",
-            r"unknown method 'sql'; there are: auto, slq, newton, trust-region, gradient, constrained, ilqr; "
-            r"did you mean 'slq'\?",
+            r"unknown method 'sql'; there are: auto, slq, newton, trust-region, gradient, constrained, "
+            r"square-root-sweep, ilqr; did you mean 'slq'\?",
         ),
         (None, "unknown method None; there are"),
         ("ddp", "unknown method 'ddp'; there are"),

@@ -26,6 +26,14 @@ _CATALOGUE = {
     "cart_pole": "a pole on a cart swings up, the force limited",
     "double_pendulum": "a double pendulum swings up by two limited motors",
     "acrobot": "a double pendulum swings up by one motor in its elbow",
+    "bryson_denham": "a particle turns round before a wall (McQuade 1989, Example 1)",
+    "drag_cart": "a cart with drag under a limit of dynamic pressure (McQuade 1989, Example 2)",
+    "reentry": "a lifting vehicle enters the atmosphere within 5 g (McQuade 1989, chapter 5)",
+    "spacecraft_slew": "a spacecraft with a flexible boom turns round, from rest to rest",
+    "cart_pole_track": "a pole on a cart swings up on a short track, the end met exactly",
+    "quadrotor_obstacles": "a planar quadrotor flies past two discs",
+    "car_obstacles": "a car parks past three discs",
+    "arm_obstacle": "an arm of three links swings its hand round a disc",
     "panda_reach": "a seven-joint arm that reaches for a point, on MuJoCo or Pinocchio",
 }
 
