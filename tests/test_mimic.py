@@ -1,5 +1,7 @@
 """Joints that mimic others in Pinocchio, against MuJoCo's mass matrix and bias forces of the robot without its ties."""
 
+import copy
+import pickle
 import re
 
 import mujoco
@@ -83,8 +85,8 @@ def test_derivatives(file, integrator, floating):
     ends, outputs = dynamics.step_each(again.X, again.U)
     np.testing.assert_allclose(ends, again.X[1:], rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(outputs, again.Y, rtol=1e-12, atol=1e-13)
-    closed = dynamics.rollout(again.X[0], again.U)
-    np.testing.assert_array_equal(closed.X, again.X)
+    carried = pickle.loads(pickle.dumps(copy.deepcopy(dynamics)))
+    np.testing.assert_array_equal(carried.rollout(again.X[0], again.U).X, again.X)
 
 
 def test_followers_are_drawn_where_they_are(file, tmp_path):
@@ -122,3 +124,16 @@ def test_ties_that_cannot_be(file, change, sentence):
     file.write_text(CHAINED.replace(*change))
     with pytest.raises(ValueError, match=sentence):
         PinocchioDynamics.from_path(file, H)
+
+
+def test_fixed_joints_follow_none_and_lead_to_their_place(file):
+    """As in Talos, whose reduced files keep the <mimic> of joints that they have fixed."""
+    tied = CHAINED.replace('type="revolute"', 'type="fixed"', 1)
+    file.write_text(tied)
+    led = PinocchioDynamics.from_path(file, H, outputs=["l4"])
+    assert led.state_names == ("j3", "j3.vel")
+    file.write_text(CHAINED)
+    locked = PinocchioDynamics.from_path(file, H, ["grip"], outputs=["l4"])
+    np.testing.assert_allclose(*(d.rollout(np.zeros(2), np.zeros((1, 1))).Y for d in (led, locked)), atol=1e-15)
+    file.write_text(CHAINED.replace('name="finger" type="revolute"', 'name="finger" type="fixed"'))
+    assert PinocchioDynamics.from_path(file, H, ["last"]).control_names == ("grip", "j3")

@@ -22,6 +22,7 @@ armature and damping of the joints on their own, diag(d), stay diagonal: G' diag
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,6 +45,8 @@ class Ties:
     """Shape (nq of free,)."""
     G: Array
     """Shape (nf, nv)."""
+    followers: Mapping[str, tuple[str, float, float]]
+    """Leader, multiplier m and offset of each joint that mimics another."""
 
     def reduced(self, diagonal: Array) -> Array:
         """(G o G)' d. Shapes (nf,) -> (nv,)."""

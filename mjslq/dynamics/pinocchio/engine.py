@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike
 from mjslq.dynamics.dynamics import Dynamics, Feedback, Linearization, Output
 from mjslq.dynamics.locked_joints import LockedJoints
 from mjslq.dynamics.pinocchio import models
+from mjslq.dynamics.pinocchio.algorithms import Ties
 from mjslq.dynamics.pinocchio.mimic import Follower, lock_followers, tie
 from mjslq.dynamics.pinocchio.outputs import Readings
 from mjslq.dynamics.pinocchio.states import state_space
@@ -88,14 +89,13 @@ class PinocchioDynamics(Dynamics):
         self.integrator = choose("integrator", integrator, _INTEGRATORS)
         self.model = free = models.lock(model, locked_joints)
         """The pinocchio.Model, with joints locked and armature set; a copy of what was given. Not to be changed."""
-        rotors = models.per_joint(free, "armature", armature, free.armature)
+        free.armature = models.per_joint(free, "armature", armature, free.armature)
         self.damping = models.per_joint(free, "damping", damping, free.damping)
         """Damping of each dof, that of its followers included. Shape (nv,). [Nm s/rad or N s/m]"""
-        self._ties = None
+        self._ties: Ties | None = None
         if followers:
             self.model, self._ties = tie(free, followers)
-            rotors, self.damping = self._ties.reduced(rotors), self._ties.reduced(self.damping)
-        self.model.armature = rotors
+            self.damping = self._ties.reduced(self.damping)
         models.refuse_massless(self.model)
         self._actuated, self.control_names = models.actuated_dofs(self.model, actuated)
         self._readings = Readings(free, outputs)
@@ -156,6 +156,19 @@ class PinocchioDynamics(Dynamics):
                 f"PinocchioDynamics.from_path makes such a model of the URDF file"
             )
         return cls(model, timestep, locked_joints, outputs, **options)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """See `Dynamics`; a model with mimicking joints does not survive Pinocchio's own pickling, and is made anew."""
+        state = super().__getstate__()
+        if self._ties is not None:
+            state["model"], state["_ties"] = None, (self._ties.free, self._ties.followers)
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take what `__getstate__` gave."""
+        super().__setstate__(state)
+        if isinstance(self._ties, tuple):
+            self.model, self._ties = tie(*self._ties)
 
     def __repr__(self) -> str:
         return (
