@@ -20,7 +20,13 @@ class Scene:
     """Entries of the state x that are the model's qpos, in its order. Length nq."""
     name: str = "model"
     """The model's name, for titles."""
+    lines: tuple[tuple[float, float], ...] = ()
+    """(m, o) of each entry of qpos, which is m x + o, as of joints that mimic others; empty where all are (1, 0)."""
 
     def poses(self, X: Array) -> Array:
         """Joint positions qpos of the model along the states `X` (N + 1, nx). Shape (N + 1, nq)."""
-        return np.ascontiguousarray(np.asarray(X)[:, list(self.columns)])
+        poses = np.asarray(X)[:, list(self.columns)]
+        if self.lines:
+            multiplier, offset = np.array(self.lines).T
+            poses = multiplier * poses + offset
+        return np.ascontiguousarray(poses)

@@ -58,6 +58,7 @@ def save(result: Result, path: str | os.PathLike[str]) -> None:
     if result.scene is not None:
         arrays["scene_model"] = np.frombuffer(result.scene.model, dtype=np.uint8)
         arrays["scene_columns"] = np.array(result.scene.columns, dtype=np.int64)
+        arrays["scene_lines"] = np.array(result.scene.lines, dtype=np.float64).reshape(-1, 2)
     if result.space is not None:
         arrays |= _pack_space(result.space)
     header = {name: getattr(result, name) for name in PLAIN} | {
@@ -97,7 +98,8 @@ def _result_of(header: dict[str, Any], arrays: dict[str, Array]) -> Result:
     scene = None
     if "scene_model" in arrays:
         columns = tuple(int(i) for i in arrays["scene_columns"])
-        scene = Scene(arrays["scene_model"].tobytes(), columns, header["scene_name"])
+        lines = tuple((float(m), float(o)) for m, o in arrays.get("scene_lines", np.zeros((0, 2))))
+        scene = Scene(arrays["scene_model"].tobytes(), columns, header["scene_name"], lines)
     named: dict[str, dict[str, Array]] = {"violations": {}, "multipliers": {}}
     for entry, array in arrays.items():
         kind, slash, name = entry.partition("/")

@@ -174,3 +174,40 @@ def test_check_names_a_joint_that_moves_no_mass(tmp_path):
     outcome = CliRunner().invoke(app, ["check", str(tmp_path / "tip.urdf")])
     assert isinstance(outcome.exception, ValueError)
     assert "joint 'j2' moves no mass" in str(outcome.exception) and "j1" not in str(outcome.exception)
+
+
+@pytest.mark.parametrize("slope, wrong", [(1.0, False), (50.0, False), (-1e9, True)])
+def test_a_step_that_jumps_has_no_derivative_to_agree_with(slope, wrong):
+    """x+ = x + 1 left of 0, x + 2 at 0, x + 3 right of it; what no difference comes near is wrong all the same."""
+    dynamics = FunctionDynamics(
+        lambda x, u, t: x + u + 2.0 + np.sign(x),
+        1,
+        1,
+        0.1,
+        integrator="map",
+        jacobian=lambda x, u, t: (np.array([[slope]]), np.array([[1.0]])),
+    )
+    check = dynamics.check_derivatives(dynamics.rollout([0.0], -2.0 * np.ones((3, 1))))
+    assert (check.suspects == ["A"]) is wrong
+    if not wrong:
+        assert check.jumps["A"] == (0, 1, 2) and check.verdict.startswith("a jump at 3 of 3 knots: ")
+
+
+def test_a_constraint_solver_cut_short():
+    """Its solution is differentiated, and the check says that the steps are not that yet."""
+    dynamics = MujocoDynamics.from_xml(SLIDING.replace("<option ", '<option tolerance="0.1" '), threads=1)
+    check = dynamics.check_derivatives(dynamics.rollout(start(dynamics), np.zeros((3, 0))))
+    assert check.suspects == [] and check.unsolved["A"]
+    assert "a constraint solver cut short at" in check.verdict
+    solved = MujocoDynamics.from_xml(SLIDING, threads=1)
+    assert not solved.check_derivatives(solved.rollout(start(solved), np.zeros((3, 0)))).unsolved["A"]
+
+
+def start(dynamics: MujocoDynamics):
+    x = dynamics.initial_state
+    x[2], x[dynamics.model.nq : dynamics.model.nq + 6] = 0.099, (0.7, 0.3, -0.1, 0.2, 0.3, 0.5)
+    return x
+
+
+SLIDING = """<mujoco><option timestep="0.002"/><worldbody><geom type="plane" size="1 1 1"/>
+  <body pos="0 0 .1"><freejoint/><geom type="box" size=".2 .1 .1" mass="1"/></body></worldbody></mujoco>"""

@@ -6,18 +6,25 @@ Notation
     j_0               five-point difference, O(eps^4)
     j_-, j_+          one-sided differences to either side, O(eps^2)
 
-An entry is off where |j - j_0| > `TOLERANCE` max|J_0|. There the one-sided differences decide: at a kink, as where a
-contact opens, a joint stands at its limit or a control at its own, they differ, and j is one of the two or lies
-between them; a wrong derivative does not, whatever the side. They are taken with several eps, since a kink may be close
-by, and the step of a constraint solver is not smooth to the last digit: one that agrees is enough.
+An entry is off where |j - j_0| > `TOLERANCE` max|J_0|. There the one-sided differences decide, taken with several eps:
+
+    kink        they differ, as where a contact opens, a joint stands at its limit or a control at its own, and j is one
+                of the two or lies between them, for some eps: a kink may be close by
+    jump        they have no limit, and grow with 1/eps, since the step itself jumps: two capsules that lie parallel,
+                whose contacts come and go, or a collision found by iteration. They change from one eps to the next by
+                more than a third of what j is off, on the side where they change less
+    unsolved    they are those of a constraint solver that stops at its tolerance before its solution is there, and j
+                is the derivative of the solution itself (`Dynamics.fully_solved`)
+    wrong       else: j agrees with neither side
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,7 +39,12 @@ TOLERANCE = 1e-3
 """Relative error of a Jacobian from which on a knot counts as off."""
 ONE_SIDED = (1e-5, 1e-6, 1e-7)
 """Steps of the one-sided differences."""
+_NOTHING = 1e-9
+"""Largest entry of a Jacobian from which on it counts as more than the rounding of its differences."""
+_REACH = 3.0
+_REASONS = ("kinks", "jumps", "unsolved")
 
+Flags = np.ndarray[tuple[int], np.dtype[np.bool_]]
 Sides = Callable[[str, int, int], "list[tuple[Array, Array]]"]
 """sides(name, step, column) -> the column (j_-, j_+) of a Jacobian, for each step size."""
 
@@ -41,8 +53,9 @@ Sides = Callable[[str, int, int], "list[tuple[Array, Array]]"]
 class DerivativeCheck:
     """How far an engine's Jacobians are from a fine reference, over the knots of a trajectory.
 
-    A knot that is off is either at a kink of the step, where two one-sided derivatives differ and the Jacobian agrees
-    with one of them or lies between, or its Jacobian is wrong.
+    A knot that is off is at a kink of the step, where two one-sided derivatives differ and the Jacobian agrees with one
+    of them or lies between; or at a jump, where the step has no derivative; or its constraint solver stops short of the
+    solution; or its Jacobian is wrong.
     """
 
     errors: dict[str, float]
@@ -56,6 +69,10 @@ class DerivativeCheck:
     """Share of the knots where it is above `TOLERANCE`."""
     kinks: dict[str, tuple[int, ...]] = field(default_factory=dict)
     """Knots where it is above `TOLERANCE`, and only because of a kink."""
+    jumps: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    """Knots where it is above `TOLERANCE`, and no one-sided difference has a limit: the step jumps."""
+    unsolved: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    """Knots where it is above `TOLERANCE`, but right for a constraint solver that converges."""
     wrong: dict[str, tuple[int, ...]] = field(default_factory=dict)
     """Knots where it is above `TOLERANCE` and agrees with neither one-sided difference."""
     knots: dict[str, int] = field(default_factory=dict)
@@ -79,58 +96,105 @@ class DerivativeCheck:
                 f"{name} at {len(self.wrong[name])} of {self.knots[name]} knots" for name in self.suspects
             )
             return f"wrong derivatives: {found} agrees with neither one-sided difference of the step"
-        kinks = sorted(set().union(*self.kinks.values()))
-        if kinks:
-            names = ", ".join(name for name, knots in self.kinks.items() if knots)
-            return (
-                f"a kink at {len(kinks)} of {max(self.knots.values())} knots: there the one-sided differences of the "
-                f"step differ, as at joint limits, control limits and contacts that open or close, and {names} agrees "
-                "with one of them or lies between"
-            )
-        return "the Jacobians agree with the differences at all knots"
+        sentences = [sentence for reason in _REASONS if (sentence := self._told(reason))]
+        return "; ".join(sentences) or "the Jacobians agree with the differences at all knots"
+
+    def _told(self, reason: str) -> str:
+        """Sentence on the knots that are off for a reason; empty where there are none."""
+        by_name: dict[str, tuple[int, ...]] = getattr(self, reason)
+        knots, names = set().union(*by_name.values()), ", ".join(name for name, found in by_name.items() if found)
+        many = f"at {len(knots)} of {max(self.knots.values(), default=0)} knots"
+        sentences = {
+            "kinks": f"a kink {many}: there the one-sided differences of the step differ, as at joint limits, control "
+            f"limits and contacts that open or close, and {names} agrees with one of them or lies between",
+            "jumps": f"a jump {many}: there the step has no derivative, as where parallel geoms gain a contact, and "
+            f"the differences that {names} is compared with grow as their step shrinks",
+            "unsolved": f"a constraint solver cut short {many}: there it stops at its tolerance before it has "
+            f"converged, and {names} is the derivative of the converged step; a smaller tolerance in <option> helps",
+        }
+        return sentences[reason] if knots else ""
 
 
 def check_jacobians(dynamics: Dynamics, trajectory: Trajectory) -> DerivativeCheck:
     """Compare `linearize` with a fine reference, and with one-sided differences where these disagree."""
     given, reference = dynamics.linearize(trajectory), fine_reference(dynamics, trajectory)
-    return compare_jacobians(given, reference, partial(_sides, dynamics, trajectory))
+    solved = dynamics.fully_solved()
+    solved_sides = None if solved is None else partial(_sides, solved, trajectory)
+    return compare_jacobians(given, reference, partial(_sides, dynamics, trajectory), solved_sides)
 
 
-def compare_jacobians(given: Linearization, reference: Linearization, sides: Sides | None = None) -> DerivativeCheck:
+def compare_jacobians(
+    given: Linearization, reference: Linearization, sides: Sides | None = None, solved_sides: Sides | None = None
+) -> DerivativeCheck:
     """Relative errors of each Jacobian: the largest and where, the usual, and how widespread.
 
-    Without `sides` every knot that is off counts as wrong.
+    Without `sides` every knot that is off counts as wrong; `solved_sides` are those of a converged constraint solver.
     """
-    errors, worst, typical, share, kinks, wrong, knots = {}, {}, {}, {}, {}, {}, {}
+    names = ("errors", "worst", "typical", "share", *_REASONS, "wrong", "knots")
+    found: dict[str, dict[str, Any]] = {name: {} for name in names}
     for name, ours, fine in zip(Linearization._fields, given, reference, strict=True):
         if fine.size == 0:
             continue
-        scale = max(np.abs(fine).max(), 1e-300)
+        scale = max(np.abs(fine).max(), _NOTHING)
         error = np.nan_to_num(np.abs(ours - fine) / scale, nan=np.inf)
         off = error > TOLERANCE
-        bad = off.copy()
+        excused = {reason: np.zeros_like(off) for reason in _REASONS}
         if sides is not None:
             for step, column in np.argwhere(off.any(axis=1)):
-                pairs = sides(name, int(step), int(column))
-                bad[step, :, column] &= ~_explained(ours[step, :, column], pairs, TOLERANCE * scale)
+                here = off[step, :, column]
+                verdicts = _reasons(name, step, column, ours[step, :, column], here, scale, sides, solved_sides)
+                for reason, verdict in zip(_REASONS, verdicts, strict=True):
+                    excused[reason][step, :, column] = here & verdict
+        bad = off & ~np.logical_or.reduce(list(excused.values()))
         counted = np.where(bad, error, 0.0) if bad.any() else error
         place = np.unravel_index(int(np.argmax(counted)), error.shape)
-        by_knot, off_knots, bad_knots = error.max(axis=(1, 2)), off.any(axis=(1, 2)), bad.any(axis=(1, 2))
-        errors[name], typical[name] = float(error[place]), float(np.median(by_knot))
-        worst[name], share[name] = (int(place[0]), int(place[1]), int(place[2])), float(off_knots.mean())
-        kinks[name] = tuple(np.flatnonzero(off_knots & ~bad_knots).tolist())
-        wrong[name] = tuple(np.flatnonzero(bad_knots).tolist())
-        knots[name] = len(fine)
-    return DerivativeCheck(errors, worst, typical, share, kinks, wrong, knots)
+        found["errors"][name], found["typical"][name] = float(error[place]), float(np.median(error.max(axis=(1, 2))))
+        found["worst"][name] = tuple(map(int, place))
+        found["share"][name], found["knots"][name] = float(off.any(axis=(1, 2)).mean()), len(fine)
+        wrong_knots = bad.any(axis=(1, 2))
+        found["wrong"][name] = tuple(np.flatnonzero(wrong_knots).tolist())
+        for reason, entries in excused.items():
+            found[reason][name] = tuple(np.flatnonzero(entries.any(axis=(1, 2)) & ~wrong_knots).tolist())
+    return DerivativeCheck(**found)
 
 
-def _explained(
-    ours: Array, pairs: list[tuple[Array, Array]], tolerance: float
-) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _reasons(
+    name: str,
+    step: int,
+    column: int,
+    ours: Array,
+    off: Flags,
+    scale: float,
+    sides: Sides,
+    solved_sides: Sides | None,
+) -> tuple[Flags, Flags, Flags]:
+    """Which entries of a column are at a kink, at a jump, or right for a converged constraint solver."""
+    pairs = sides(name, step, column)
+    kinks = _explained(ours, pairs, TOLERANCE * scale)
+    jumps = ~kinks & _in_a_jump(ours, pairs)
+    unsolved = np.zeros_like(kinks)
+    if solved_sides is not None and (off & ~kinks & ~jumps).any():
+        unsolved = ~kinks & ~jumps & _explained(ours, solved_sides(name, step, column), TOLERANCE * scale)
+    return kinks, jumps, unsolved
+
+
+def _explained(ours: Array, pairs: list[tuple[Array, Array]], tolerance: float) -> Flags:
     """Which entries of a column agree with a one-sided difference, or lie between the two, for some step size."""
     found = np.zeros(len(ours), bool)
     for left, right in pairs:
         found |= (ours >= np.minimum(left, right) - tolerance) & (ours <= np.maximum(left, right) + tolerance)
+    return found
+
+
+def _in_a_jump(ours: Array, pairs: list[tuple[Array, Array]]) -> Flags:
+    """Which entries are less than three times as far from the differences as these are from each other.
+
+    From one step size to the next, that is, on the side and between the two sizes where they change least.
+    """
+    found = np.ones(len(ours), bool)
+    for side in (0, 1):
+        for wide, narrow in itertools.pairwise(pair[side] for pair in pairs):
+            found &= np.abs(ours - wide) < _REACH * np.abs(wide - narrow)
     return found
 
 

@@ -268,6 +268,13 @@ class Dynamics(ABC):
         """
         return check_jacobians(self, trajectory)
 
+    def fully_solved(self) -> Dynamics | None:
+        """Return the same system with equations that are solved iteratively solved to the last digit.
+
+        None where it has none. `check_derivatives` asks for it where a derivative is off.
+        """
+        return None
+
     def faults(self) -> list[str]:
         """What makes the system impossible to simulate, a sentence each; mostly nothing."""
         return []

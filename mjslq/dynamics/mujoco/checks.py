@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 
 import mujoco
@@ -18,6 +19,8 @@ INTEGRATORS = {
 """MuJoCo's integrators by name."""
 _NO_INERTIA = 1e-11
 """Inertia that a joint has only because the compiler gives massless bodies a tiny one."""
+_MANY = 200
+"""Iterations after which a constraint solver has converged."""
 _CALLBACKS = ("control", "passive", "act_dyn", "act_gain", "act_bias", "sensor", "contactfilter")
 
 REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
@@ -48,6 +51,17 @@ def refuse_unsupported(model: mujoco.MjModel) -> None:
         if is_so(model):
             raise ValueError(f"this model is not supported: {reason}")
     refuse_callbacks()
+
+
+def with_converged_solver(model: mujoco.MjModel) -> mujoco.MjModel | None:
+    """Copy `model`, with a constraint solver that runs until it has converged; None where there is none to run."""
+    from mjslq.dynamics.mujoco.inverse.table.plan import can_be_constrained
+
+    if not can_be_constrained(model):
+        return None
+    solved = copy.copy(model)
+    solved.opt.tolerance, solved.opt.iterations = 0.0, max(model.opt.iterations, _MANY)
+    return solved
 
 
 def massless_joints(model: mujoco.MjModel) -> list[str]:

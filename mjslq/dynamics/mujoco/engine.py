@@ -322,6 +322,13 @@ class MujocoDynamics(Dynamics):
         """Return the compiled model, and where its pose is in x, for a viewer."""
         return self._scene
 
+    def fully_solved(self) -> MujocoDynamics | None:
+        """See `Dynamics.fully_solved`: with a constraint solver that does not stop at the model's tolerance."""
+        from mjslq.dynamics.mujoco.checks import with_converged_solver
+
+        model = with_converged_solver(self.model)
+        return None if model is None else MujocoDynamics(model, substeps=self.substeps, jacobian="transition")
+
     def faults(self) -> list[str]:
         """What makes the model impossible to simulate, a sentence each; see `Dynamics`."""
         from mjslq.dynamics.mujoco.checks import massless_joints

@@ -31,6 +31,8 @@ from numpy.typing import ArrayLike
 from mjslq.dynamics.dynamics import Dynamics, Feedback, Linearization, Output
 from mjslq.dynamics.locked_joints import LockedJoints
 from mjslq.dynamics.pinocchio import models
+from mjslq.dynamics.pinocchio.algorithms import Ties
+from mjslq.dynamics.pinocchio.mimic import Follower, lock_followers, tie
 from mjslq.dynamics.pinocchio.outputs import Readings
 from mjslq.dynamics.pinocchio.states import state_space
 from mjslq.scene import Scene
@@ -81,17 +83,22 @@ class PinocchioDynamics(Dynamics):
         actuated: Sequence[str] | None = None,
         name: str | None = None,
         scene: Callable[[PinocchioDynamics], Scene | None] | Scene | None = None,
+        followers: dict[str, Follower] | None = None,
     ) -> None:
         self.dt = positive("timestep", timestep)
         self.integrator = choose("integrator", integrator, _INTEGRATORS)
-        self.model = models.lock(model, locked_joints)
+        self.model = free = models.lock(model, locked_joints)
         """The pinocchio.Model, with joints locked and armature set; a copy of what was given. Not to be changed."""
-        self.model.armature = models.per_joint(self.model, "armature", armature, self.model.armature)
-        self.damping = models.per_joint(self.model, "damping", damping, self.model.damping)
-        """Damping of each dof. Shape (nv,). [Nm s/rad or N s/m]"""
+        free.armature = models.per_joint(free, "armature", armature, free.armature)
+        self.damping = models.per_joint(free, "damping", damping, free.damping)
+        """Damping of each dof, that of its followers included. Shape (nv,). [Nm s/rad or N s/m]"""
+        self._ties: Ties | None = None
+        if followers:
+            self.model, self._ties = tie(free, followers)
+            self.damping = self._ties.reduced(self.damping)
         models.refuse_massless(self.model)
         self._actuated, self.control_names = models.actuated_dofs(self.model, actuated)
-        self._readings = Readings(self.model, outputs)
+        self._readings = Readings(free, outputs)
         self.nx, self.ndx, self.nv = self.model.nq + self.model.nv, 2 * self.model.nv, self.model.nv
         self.space = state_space(self.model)
         self.nu, self.ny = len(self._actuated), self._readings.ny
@@ -119,16 +126,17 @@ class PinocchioDynamics(Dynamics):
         """Read a URDF file; `floating_base` frees its root link, as a joint named "root". See the class for the rest.
 
         A viewer draws the robot as MuJoCo reads the same file, with meshes of `packages` as in
-        `MujocoDynamics.from_path`. A joint that mimics a locked one is locked with it; one that mimics a free joint is
-        refused.
+        `MujocoDynamics.from_path`. A joint that mimics a locked one is locked with it; one that mimics a free joint
+        follows it exactly, and is no part of x and u.
         """
         if isinstance(path, pin.Model):
             raise ValueError("from_path takes the path of a .urdf file, got a pinocchio.Model; from_model takes that")
-        model, locked = models.load_urdf(path, floating_base), models.lock_followers(path, locked_joints)
+        model, (locked, followers) = models.load_urdf(path, floating_base), lock_followers(path, locked_joints)
         file = Path(path).expanduser().resolve()
         options.setdefault("name", file.stem)
-        options.setdefault("scene", partial(_scene_of_file, file, floating_base, locked, packages))
-        return cls(model, timestep, locked, outputs, **options)
+        lines = {name: (follower.multiplier, follower.offset) for name, follower in followers.items()}
+        options.setdefault("scene", partial(_scene_of_file, file, floating_base, locked, packages, lines))
+        return cls(model, timestep, locked, outputs, followers=followers, **options)
 
     @classmethod
     def from_model(
@@ -145,10 +153,23 @@ class PinocchioDynamics(Dynamics):
         if list(model.mimicking_joints):
             name = model.names[model.mimicking_joints[0]]
             raise ValueError(
-                f"joint {name!r} mimics another, which Pinocchio's articulated-body algorithm cannot; build the model "
-                f"without mimic joints, or use MujocoDynamics, which ties them"
+                f"joint {name!r} mimics another, which Pinocchio's articulated-body algorithm cannot; "
+                f"PinocchioDynamics.from_path makes such a model of the URDF file"
             )
         return cls(model, timestep, locked_joints, outputs, **options)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """See `Dynamics`; a model with mimicking joints does not survive Pinocchio's own pickling, and is made anew."""
+        state = super().__getstate__()
+        if self._ties is not None:
+            state["model"], state["_ties"] = None, (self._ties.free, self._ties.followers)
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take what `__getstate__` gave."""
+        super().__setstate__(state)
+        if isinstance(self._ties, tuple):
+            self.model, self._ties = tie(*self._ties)
 
     def __repr__(self) -> str:
         return (
@@ -240,6 +261,9 @@ class PinocchioDynamics(Dynamics):
             parts.append(("floating base", "a free joint on the manifold"))
         if self.damping.any():
             parts.append(("joint damping", damping))
+        if self._ties is not None:
+            followers = len(self.model.mimicking_joints)
+            parts.append((f"{followers} joints that mimic others", "follow exactly, analytic Jacobians"))
         parts += [(f"output {name}", "analytic Jacobian") for name in self.outputs]
         if np.asarray(self.model.upperDryFrictionLimit).any():
             parts.append(("dry friction", "left out: MujocoDynamics has it"))
@@ -252,18 +276,26 @@ class PinocchioDynamics(Dynamics):
     @cached_property
     def simulator(self) -> Simulator:
         """Whole-horizon loops and their memory, made when first asked for; one caller at a time."""
+        from mjslq.dynamics.pinocchio.algorithms import ForwardDynamics, TiedDynamics
         from mjslq.dynamics.pinocchio.runge_kutta import RungeKutta4
         from mjslq.dynamics.pinocchio.simulator import SemiImplicitEuler
 
         h, rest = float(self.dt), (self.damping, self._actuated, self._readings)
-        if self.integrator == "rk4":
-            return RungeKutta4(self.model, h, *rest)
-        stepped = self.model.copy()
-        stepped.armature = self.model.armature + h * self.damping
-        return SemiImplicitEuler(stepped, h, *rest)
+        kind: type[Simulator] = RungeKutta4
+        model = self.model
+        if self.integrator == "semi-implicit-euler":
+            kind, model = SemiImplicitEuler, self.model.copy()
+            model.armature = self.model.armature + h * self.damping
+        body = ForwardDynamics(model) if self._ties is None else TiedDynamics(model, self._ties)
+        return kind(body, h, *rest)
 
 
 def _scene_of_file(
-    file: Path, floating_base: bool, locked: dict[str, float], packages: Any, dynamics: PinocchioDynamics
+    file: Path,
+    floating_base: bool,
+    locked: dict[str, float],
+    packages: Any,
+    lines: dict[str, tuple[float, float]],
+    dynamics: PinocchioDynamics,
 ) -> Scene | None:
-    return models.viewer_scene(file, dynamics.model, floating_base, locked, dynamics.name, packages)
+    return models.viewer_scene(file, dynamics.model, floating_base, locked, dynamics.name, packages, lines)

@@ -105,6 +105,7 @@ def gather(n, h, a_q, a_v, a_tau, J, damping, actuated, A, B, J_all):
         A[n, nv + i, nv + i] += 1.0
         for j in range(actuated.size):
             B[n, nv + i, j] = h * a_tau[i, actuated[j]]
+    for i in range(J.shape[0]):
         for j in range(6):
             J_all[n, i, j] = J[i, j]
 

@@ -32,7 +32,7 @@ _VELOCITIES = {
 
 def load_urdf(path: str | Path, floating_base: bool) -> Any:
     """Read a URDF file; raises ValueError in one sentence when there is none, or Pinocchio cannot read it."""
-    file, root = _read(path)
+    file, root = read_urdf(path)
     _turn_continuous(root)
     text = ElementTree.tostring(root, encoding="unicode")
     base = (pin.JointModelFreeFlyer(), ROOT) if floating_base else ()
@@ -43,30 +43,7 @@ def load_urdf(path: str | Path, floating_base: bool) -> Any:
         raise ValueError(f"Pinocchio cannot make a model of {file.name}: {reason}") from None
 
 
-def lock_followers(path: str | Path, joints: LockedJoints | None) -> dict[str, float]:
-    """Joints to lock and where, with those that mimic a locked one: at multiplier x its position + offset.
-
-    Raises ValueError for a joint that mimics a free one: Pinocchio's articulated-body algorithm has no such joints.
-    """
-    locked, (file, root) = locked_positions(joints), _read(path)
-    mimics = {joint.get("name", ""): joint.find("mimic") for joint in root.findall("joint")}
-    waiting = {name: mimic for name, mimic in mimics.items() if mimic is not None and name not in locked}
-    for _ in range(len(waiting)):  # followers may have followers
-        for name, mimic in waiting.items():
-            leader = mimic.get("joint", "")
-            if leader in locked and name not in locked:
-                locked[name] = float(mimic.get("multiplier", 1.0)) * locked[leader] + float(mimic.get("offset", 0.0))
-    for name, mimic in waiting.items():
-        if name not in locked:
-            leader = mimic.get("joint", "")
-            raise ValueError(
-                f"{file.name}: joint {name!r} mimics {leader!r}, which Pinocchio's articulated-body algorithm cannot; "
-                f"lock one of them (locked_joints=({leader!r},)), or use MujocoDynamics, which ties them"
-            )
-    return locked
-
-
-def _read(path: str | Path) -> tuple[Path, ElementTree.Element]:
+def read_urdf(path: str | Path) -> tuple[Path, ElementTree.Element]:
     """A URDF file, and its outermost element."""
     file = Path(path).expanduser()
     if not file.is_file():
@@ -173,10 +150,17 @@ def refuse_massless(model: Any) -> None:
 
 
 def viewer_scene(
-    path: Path, model: Any, floating_base: bool, locked: dict[str, float], name: str, packages: Any = None
+    path: Path,
+    model: Any,
+    floating_base: bool,
+    locked: dict[str, float],
+    name: str,
+    packages: Any = None,
+    lines: Mapping[str, tuple[float, float]] | None = None,
 ) -> Scene | None:
     """The robot as MuJoCo reads it, its joints matched by name; None where MuJoCo cannot read the file.
 
+    `lines` are multiplier and offset of joints that mimic others, whose entries of q they share.
     Meshes that are left out are not warned of: nothing hangs on them here but looks.
     """
     import mujoco
@@ -190,6 +174,7 @@ def viewer_scene(
     except ValueError:
         return None
     columns: list[int] = []
+    placed: list[tuple[float, float]] = []
     for j in range(drawn.njnt):
         joint = drawn.joint(j).name
         if not model.existJointName(joint):
@@ -197,9 +182,10 @@ def viewer_scene(
         start = int(model.idx_qs[model.getJointId(joint)])
         order = (0, 1, 2, 6, 3, 4, 5) if drawn.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE else (0,)
         columns += [start + i for i in order]
+        placed += [(lines or {}).get(joint, (1.0, 0.0))] * len(order)
     data = np.empty(mujoco.mj_sizeModel(drawn), np.uint8)
     mujoco.mj_saveModel(drawn, None, data)
-    return Scene(data.tobytes(), tuple(columns), name)
+    return Scene(data.tobytes(), tuple(columns), name, tuple(placed) if lines else ())
 
 
 def _turn_continuous(root: ElementTree.Element) -> None:

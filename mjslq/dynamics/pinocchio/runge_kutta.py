@@ -67,10 +67,10 @@ class RungeKutta4(Simulator):
 
         def acceleration(i: int, q_i: Array, v_i: Array) -> Array:
             torque = self.tau - self.damping * (v_i - v)
-            a: Array = pin.aba(self.model, self.data, q_i, v_i, torque, pin.Convention.WORLD)
+            self.body.accelerate(q_i, v_i, torque)
             if i == 0:
                 recorder.note(n)
-            return a
+            return self.body.acceleration.copy()
 
         with np.errstate(over="ignore", invalid="ignore"):
             self.q[:], self.v[:], _ = runge_kutta(self.model, self.h, q, v, acceleration)
@@ -88,12 +88,12 @@ class RungeKutta4(Simulator):
 
             def acceleration(i: int, q_i: Array, v_i: Array, n: int = n, v: Array = v) -> Array:
                 torque = tau[n] - self.damping * (v_i - v)
-                pin.computeABADerivatives(self.model, self.data, q_i, v_i, torque)
-                a_q[i, n], a_v[i, n], a_u[i, n] = self._derivatives
+                self.body.differentiate(q_i, v_i, torque)
+                a_q[i, n], a_v[i, n], a_u[i, n] = self.body.derivatives
                 if i == 0:
                     recorder.note(n)
-                    J[n] = self._jacobian
-                return self._acceleration.copy()
+                    J[n] = self.body.jacobian
+                return self.body.acceleration.copy()
 
             walks = runge_kutta(self.model, self.h, q, v, acceleration)[2]
             if not self.plain:

@@ -3,7 +3,8 @@
 Notation
 --------
     x = (q, v)                                          h = dt
-    a(q, v, u) = ABA(q, v, S u - D v)                   S picks the actuated dofs, D is the joints' damping
+    a(q, v, u) = FD(q, v, S u - D v)                    S picks the actuated dofs, D is the joints' damping;
+                                                        FD: see `algorithms`
     v_{n+1} = v_n + h a(q_n, v_n, u_n)                  semi-implicit Euler
     q_{n+1} = q_n (+) h v_{n+1}
     J0, J1                                              derivatives of q (+) d by q and by d
@@ -28,6 +29,7 @@ import pinocchio as pin
 
 from mjslq.dynamics.dynamics import Feedback, Linearization
 from mjslq.dynamics.pinocchio import kernels
+from mjslq.dynamics.pinocchio.algorithms import ForwardDynamics
 from mjslq.dynamics.pinocchio.outputs import Readings
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
@@ -64,19 +66,16 @@ class Law(NamedTuple):
 class Simulator(ABC):
     """A model with its memory. Not for several callers at once."""
 
-    def __init__(self, model: Any, h: float, damping: Array, actuated: Array, readings: Readings) -> None:
-        self.model, self.h, self.damping, self.actuated, self.readings = model, h, damping, actuated, readings
+    def __init__(self, body: ForwardDynamics, h: float, damping: Array, actuated: Array, readings: Readings) -> None:
+        self.body, self.h, self.damping, self.actuated, self.readings = body, h, damping, actuated, readings
+        self.model = model = body.model
         self.plain = model.nq == model.nv
         """Whether positions are plain vectors."""
         curved = [i for j in range(1, model.njoints) if model.nqs[j] != model.nvs[j]
                   for i in (model.idx_vs[j], model.idx_vs[j] + model.nvs[j])]  # fmt: skip
         self.curved = slice(min(curved, default=0), max(curved, default=0))
         """The dofs outside of which J0 and J1 are the identity."""
-        self.data = data = model.createData()
-        pin.computeABADerivatives(model, data, pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv))
-        square = (model.nv, model.nv)  # Pinocchio hands out matrices of one row or column as vectors
-        self._derivatives = tuple(np.reshape(part, square) for part in (data.ddq_dq, data.ddq_dv, data.Minv))
-        self._acceleration, self._jacobian = data.ddq, np.reshape(data.J.T, (model.nv, 6))
+        data = body.data
         self._memory = {j: (data.oMi[j].rotation, data.oMi[j].translation) for j in readings.joints}
         self.q, self.v = np.zeros(model.nq), np.zeros(model.nv)
         self.tau, self.dq = np.zeros(model.nv), np.zeros(model.nv)
@@ -105,7 +104,7 @@ class Simulator(ABC):
         recorder = Recorder(self._memory, N + 1)
         good = self.run(X, U, law, recorder)
         if good == N:
-            pin.forwardKinematics(self.model, self.data, self.q)
+            pin.forwardKinematics(self.model, self.body.data, self.q)
             recorder.note(N)
         Y = self.readings.read(recorder.placements, N + 1)
         if good == N:
@@ -125,7 +124,7 @@ class Simulator(ABC):
             kernels.control(n, X, U, self.damping, self.actuated, self.tau)
             if not self.step(n, ends, recorder):
                 ends[n + 1] = np.nan
-        pin.forwardKinematics(self.model, self.data, X[N, :nq].copy())
+        pin.forwardKinematics(self.model, self.body.data, X[N, :nq].copy())
         recorder.note(N)
         return ends[1:], self.readings.read(recorder.placements, N + 1)
 
@@ -143,18 +142,19 @@ class Simulator(ABC):
 
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of all steps and outputs."""
-        model, N, nq, nv = self.model, trajectory.horizon, self.model.nq, self.model.nv
-        X, tau, J = trajectory.X, np.zeros((N, nv)), np.zeros((N + 1, nv, 6))
+        N, nq, nv = trajectory.horizon, self.model.nq, self.model.nv
+        X, tau, J = trajectory.X, np.zeros((N, nv)), np.zeros((N + 1, *self.body.jacobian.shape))
         tau[:, self.actuated] = trajectory.U
         tau -= self.damping * X[:-1, nq:]
         recorder = Recorder(self._memory, N + 1)
         A, B = self.differentiate(X, tau, recorder, J)
         C, D = np.zeros((N + 1, self.readings.ny, 2 * nv)), np.zeros((N + 1, self.readings.ny, len(self.actuated)))
         if self.readings.ny:
-            pin.computeJointJacobians(model, self.data, np.array(X[N, :nq]))
+            self.body.find_jacobian(np.array(X[N, :nq]))
             recorder.note(N)
-            J[N] = self._jacobian
-            C[..., :nv] = self.readings.jacobian(recorder.placements, J)
+            J[N] = self.body.jacobian
+            by_joints = self.readings.jacobian(recorder.placements, J)
+            C[..., :nv] = by_joints if self.body.G is None else by_joints @ self.body.G
         return Linearization(A, B, C, D)
 
 
@@ -165,8 +165,8 @@ class SemiImplicitEuler(Simulator):
         """See `Simulator.run`; with plain positions a step is one call of Pinocchio's and one of ours."""
         if not self.plain or not len(U):
             return super().run(X, U, law, recorder)
-        model, data, q, v, tau, world = self.model, self.data, self.q, self.v, self.tau, pin.Convention.WORLD
-        rest: tuple[Any, ...] = (self._acceleration, q, v, self.dq, X, U)
+        accelerate, q, v, tau = self.body.accelerate, self.q, self.v, self.tau
+        rest: tuple[Any, ...] = (self.body.acceleration, q, v, self.dq, X, U)
         torques, euler = (self.damping, self.actuated, tau), kernels.euler_and_control
         if law is not None:
             kernels.follow(0, True, X, U, self.dq, *law)
@@ -174,7 +174,7 @@ class SemiImplicitEuler(Simulator):
         kernels.control(0, X, U, *torques)
         rest += torques
         for n in range(len(U)):
-            pin.aba(model, data, q, v, tau, world)
+            accelerate(q, v, tau)
             recorder.note(n)
             if not euler(n, self.h, *rest):
                 return n
@@ -182,9 +182,9 @@ class SemiImplicitEuler(Simulator):
 
     def step(self, n: int, X: Array, recorder: Recorder) -> bool:
         """See `Simulator.step`."""
-        pin.aba(self.model, self.data, self.q, self.v, self.tau, pin.Convention.WORLD)
+        self.body.accelerate(self.q, self.v, self.tau)
         recorder.note(n)
-        good = kernels.euler(n, self.h, self.plain, self._acceleration, self.q, self.v, self.dq, X)
+        good = kernels.euler(n, self.h, self.plain, self.body.acceleration, self.q, self.v, self.dq, X)
         if not self.plain and good:
             self.q[:] = X[n + 1, : self.q.size] = pin.integrate(self.model, self.q, self.dq)
             good = bool(np.abs(self.q).max() < kernels.ABSURD)
@@ -199,11 +199,11 @@ class SemiImplicitEuler(Simulator):
         size = curved.stop - curved.start
         J0, J1 = np.zeros((2, N, size, size))
         for n, (q, v, torque) in enumerate(zip(Q, V, tau, strict=True)):
-            pin.computeABADerivatives(self.model, self.data, q, v, torque)
-            kernels.gather(n, h, *self._derivatives, self._jacobian, self.damping, self.actuated, A, B, J)
+            self.body.differentiate(q, v, torque)
+            kernels.gather(n, h, *self.body.derivatives, self.body.jacobian, self.damping, self.actuated, A, B, J)
             recorder.note(n)
             if not self.plain:
-                J0[n], J1[n] = self.walk_jacobians(q, h * (v + h * self._acceleration))
+                J0[n], J1[n] = self.walk_jacobians(q, h * (v + h * self.body.acceleration))
         A[:, :nv], B[:, :nv] = h * A[:, nv:], h * B[:, nv:]
         A[:, np.arange(nv), np.arange(nv)] += 1.0
         if not self.plain:

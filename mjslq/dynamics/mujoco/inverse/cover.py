@@ -30,6 +30,7 @@ from mjslq.dynamics.mujoco.inverse.table.plan import (
     ON,
     TRN,
     can_be_constrained,
+    can_rub,
     dampers,
     disabled,
     has_contacts,
@@ -211,7 +212,7 @@ def _heavy_tendon(model: mujoco.MjModel) -> bool:
 _REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
     (lambda m: m.nflex > 0, "it has flexes"),
     (
-        lambda m: can_be_constrained(m) and m.opt.noslip_iterations > 0,
+        lambda m: m.opt.noslip_iterations > 0 and can_rub(m),
         "noslip iterations change the constraint forces",
     ),
     (

@@ -246,6 +246,16 @@ def has_contacts(model: mujoco.MjModel) -> bool:
     return model.npair > 0 or model.nflex > 0 or any(t & a for t in kinds for a in affinities)
 
 
+def can_rub(model: mujoco.MjModel) -> bool:
+    """Whether the model can have dry friction: of joints, of tendons, or of contacts in more than one dimension."""
+    if disabled(model, OFF.mjDSBL_CONSTRAINT):
+        return False
+    dry = model.dof_frictionloss.any() or model.tendon_frictionloss.any()
+    colliding = (model.geom_contype | model.geom_conaffinity) != 0
+    tangential = has_contacts(model) and ((model.geom_condim[colliding] > 1).any() or (model.pair_dim > 1).any())
+    return bool((dry and not disabled(model, OFF.mjDSBL_FRICTIONLOSS)) or tangential)
+
+
 def _springs(model: mujoco.MjModel) -> dict[str, Any]:
     """Springs of scalar dofs (rest, three coefficients) and of quaternions (rest, three coefficients)."""
     dofs, positions, parameters = [], [], []
