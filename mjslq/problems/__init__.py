@@ -26,6 +26,7 @@ _CATALOGUE = {
     "cart_pole": "a pole on a cart swings up, the force limited",
     "double_pendulum": "a double pendulum swings up by two limited motors",
     "acrobot": "a double pendulum swings up by one motor in its elbow",
+    "cart_train": "carts with pendulums, coupled by springs, that swing between two angles (Sforni et al., GoPRONTO)",
     "panda_reach": "a seven-joint arm that reaches for a point, on MuJoCo or Pinocchio",
 }
 
