@@ -10,6 +10,7 @@ Notation
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 
 from mjslq.dynamics.dynamics import Dynamics, Linearization
 from mjslq.knots import Knots
-from mjslq.residuals import BoundResidual, Jacobian
+from mjslq.quadratic import transposed_times
+from mjslq.residuals import BoundResidual, Jacobian, Slopes
 from mjslq.trajectory import Trajectory
 from mjslq.user_function import UserFunction
 from mjslq.validation import Array
@@ -64,10 +66,15 @@ class EntriesResidual(BoundResidual):
 
     def __init__(self, dynamics: Dynamics, columns: NDArray[Any], knots: Knots) -> None:
         self.knots, self.size, self._dynamics, self._columns = knots, len(columns), dynamics, columns
-        if dynamics.nx == dynamics.ndx:
-            J = np.zeros((len(knots), self.size, dynamics.nx))
-            J[:, np.arange(self.size), columns] = 1.0
-            self.constant_jacobian = Jacobian(J, None)
+
+    @cached_property
+    def constant_jacobian(self) -> Jacobian | None:  # type: ignore[override]
+        """See `BoundResidual`; made when asked for, since it is large."""
+        if self._dynamics.nx != self._dynamics.ndx:
+            return None
+        J = np.zeros((len(self.knots), self.size, self._dynamics.nx))
+        J[:, np.arange(self.size), self._columns] = 1.0
+        return Jacobian(J, None)
 
     def value(self, trajectory: Trajectory) -> Array:
         """See `BoundResidual.value`."""
@@ -80,6 +87,14 @@ class EntriesResidual(BoundResidual):
             return self.constant_jacobian
         bases = [self._dynamics.tangent_basis(x) for x in trajectory.X[self.knots.at]]
         return Jacobian(np.stack([basis[self._columns] for basis in bases if basis is not None]), None)
+
+    def pull_back(self, trajectory: Trajectory, weights: Array, into: Slopes) -> None:
+        """See `BoundResidual.pull_back`."""
+        by_x = np.zeros((len(self.knots), self._dynamics.nx))
+        by_x[:, self._columns] = weights
+        for n, knot in enumerate(self.knots.indices):
+            basis = self._dynamics.tangent_basis(trajectory.X[knot])
+            into.q[knot] += by_x[n] if basis is None else by_x[n] @ basis
 
 
 class EndResidual(BoundResidual):
@@ -108,6 +123,15 @@ class EndResidual(BoundResidual):
             by_end = by_end @ np.stack([basis for basis in bases if basis is not None])
         by_x, by_u = by_end @ linearization.A[at], by_end @ linearization.B[at] + J[:, :, nx:]
         return Jacobian(np.ascontiguousarray(by_x), np.ascontiguousarray(by_u))
+
+    def pull_back(self, trajectory: Trajectory, weights: Array, into: Slopes) -> None:
+        """See `BoundResidual.pull_back`: by the state at the step's end, whose knot is the next one."""
+        Z, nx = self._points(trajectory), self._dynamics.nx
+        g = transposed_times(self._function.jacobians(Z, self._times), weights)
+        for n, knot in enumerate(self.knots.indices):
+            basis = self._dynamics.tangent_basis(Z[n, :nx])
+            into.q[knot + 1] += g[n, :nx] if basis is None else g[n, :nx] @ basis
+        into.r[self.knots.at_steps] += g[:, nx:]
 
     def at(self, t0: float) -> EndResidual:
         """See `BoundResidual.at`."""

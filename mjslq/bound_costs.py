@@ -20,7 +20,7 @@ from mjslq.dynamics.dynamics import Linearization
 from mjslq.knots import Knots
 from mjslq.losses import Loss, LossCurvature
 from mjslq.quadratic import Expansion, add_congruence, add_products, transposed_times
-from mjslq.residuals import BoundResidual, FunctionResidual, Identity, Jacobian
+from mjslq.residuals import BoundResidual, FunctionResidual, Identity, Jacobian, Slopes
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
 
@@ -38,6 +38,10 @@ class BoundTerm(ABC):
     def prepare(self, into: Expansion) -> None:
         """Add what is the same along every trajectory: often nothing."""
         return
+
+    @abstractmethod
+    def slopes(self, trajectory: Trajectory, into: Slopes) -> None:
+        """Add the gradients by states, controls and outputs to `into`, for methods that need no more."""
 
     @abstractmethod
     def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
@@ -74,6 +78,10 @@ class ResidualCost(BoundTerm):
         J, knots = self._residual.constant_jacobian, self._residual.knots
         if self._prepared and J is not None:
             add_hessian(knots, J, self._loss.curvature(np.zeros((len(knots), self._residual.size))), into)
+
+    def slopes(self, trajectory: Trajectory, into: Slopes) -> None:
+        """See `BoundTerm.slopes`."""
+        self._residual.pull_back(trajectory, self._loss.slope(self._residual.value(trajectory)), into)
 
     def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
         """See `BoundTerm.expand`."""
@@ -112,6 +120,10 @@ class FunctionCost(BoundTerm):
     def cost(self, trajectory: Trajectory) -> float:
         """See `BoundTerm.cost`."""
         return float(np.vdot(self._scales, self._residual.value(trajectory)))
+
+    def slopes(self, trajectory: Trajectory, into: Slopes) -> None:
+        """See `BoundTerm.slopes`."""
+        self._residual.pull_back(trajectory, self._scales, into)
 
     def expand(self, trajectory: Trajectory, linearization: Linearization, into: Expansion) -> None:
         """See `BoundTerm.expand`."""

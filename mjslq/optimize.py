@@ -17,6 +17,7 @@ from mjslq.problem import Problem
 from mjslq.result import Result
 from mjslq.solvers.auto import Auto
 from mjslq.solvers.constrained import Constrained
+from mjslq.solvers.gopronto import Gopronto
 from mjslq.solvers.gradient import Gradient
 from mjslq.solvers.interrupts import Interrupts
 from mjslq.solvers.iterate import Iterate
@@ -24,6 +25,7 @@ from mjslq.solvers.loop import Outcome, descend
 from mjslq.solvers.method import Method
 from mjslq.solvers.monitor import Monitor
 from mjslq.solvers.newton import Newton
+from mjslq.solvers.pronto import Pronto
 from mjslq.solvers.slq import SLQ
 from mjslq.solvers.square_root_sweep import SquareRootSweep, check_options
 from mjslq.solvers.trust_region import TrustRegion
@@ -50,6 +52,8 @@ class MethodInfo:
     """Whether it takes constraints beside the limits of the controls."""
     takes_free_start: bool = False
     """Whether it takes initial states that are free (`constraints.Initial`)."""
+    takes_equalities: bool = True
+    """Whether these may be equalities."""
 
     @property
     def options(self) -> dict[str, Any]:
@@ -85,6 +89,16 @@ METHODS = {
     "square-root-sweep": MethodInfo(
         SquareRootSweep, "constraints corrected by fixed percentages, by Potter's sweep, as McQuade's thesis has it",
         "first derivatives", RECORDS["square-root-sweep"], takes_constraints=True,
+    ),
+    "pronto": MethodInfo(
+        Pronto, "Newton over projected curves (Hauser): LQ directions, steps under a tracking controller",
+        "first derivatives, second ones for order='newton'", RECORDS["pronto"], takes_constraints=True,
+        takes_equalities=False,
+    ),
+    "gopronto": MethodInfo(
+        Gopronto, "first-order steps under a tracking controller, no LQ problem in an iteration",
+        "first derivatives, a few steps at a time", RECORDS["gopronto"], defaults={"max_iterations": 1000},
+        takes_constraints=True, takes_equalities=False,
     ),
 }  # fmt: skip
 ALIASES = {"ilqr": "slq"}
@@ -253,6 +267,13 @@ def _refuse_constraints(problem: Problem, method: str) -> None:
         takers = [name for name, entry in METHODS.items() if entry.takes_constraints]
         raise ValueError(
             f"method {method!r} takes no constraints, but the problem has {names}; these do: auto, {', '.join(takers)}"
+        )
+    equalities = [repr(c.name) for c in problem.bound_constraints if (c.lower == c.upper).any()]
+    if equalities and not METHODS[method].takes_equalities:
+        takers = [name for name, entry in METHODS.items() if entry.takes_constraints and entry.takes_equalities]
+        raise ValueError(
+            f"method {method!r} takes no equality constraints, but the problem has {', '.join(equalities)}; these do: "
+            f"auto, {', '.join(takers)}"
         )
 
 

@@ -20,6 +20,12 @@ MODIFICATIONS = ("multiplier", "blend", "stage")
 COSTATES = ("sweep", "adjoint")
 CURVATURES = ("auto", "always", "never")
 HESSIANS = ("newton", "gauss-newton")
+GAINS = ("lqr", "subproblem", "none")
+LIMITS = ("barrier", "clip")
+ORDERS = ("first", "gauss-newton", "newton")
+GLOBALIZERS = ("blend", "gauss-newton", "gopronto", "none")
+VARIANTS = ("quasi-newton", "gradient", "conjugate", "heavy-ball", "nesterov")
+STEP_RULES = ("interpolated", "armijo", "fixed", "diminishing")
 
 
 @dataclass(frozen=True)
@@ -195,7 +201,85 @@ class TrustRegionOptions:
 
 @dataclass(frozen=True)
 class GradientOptions:
-    """`gradient` has no options of its own."""
+    """Options of `gradient`."""
+
+    line_search: str = "exact"
+    """"quadratic-fit", "armijo", "goldstein", "wolfe" or "exact"; see `solvers.linesearch`."""
+
+    def __post_init__(self) -> None:
+        choose("line_search", self.line_search, LINE_SEARCHES)
+
+
+@dataclass(frozen=True)
+class CurveOptions:
+    """What `pronto` and `gopronto` have in common."""
+
+    gains: Any = "lqr"
+    """Of the projection operator: "lqr", a regulator on the linearization, made anew when it stops to stabilize;
+    "subproblem", those of each direction's LQ problem (`pronto` alone); "none"; or a Policy or array (N, nu, ndx)."""
+    regulator: Any = None
+    """Weights of the regulator: (Q, R) or (Q, R, Q_N), each a number, a diagonal or a matrix; those of the cost's own
+    second-order model unless given."""
+    limits: str = "barrier"
+    """"barrier" or "clip": how the limits of the controls are kept. Those of `constraints` always are by barriers."""
+    barrier: float = 1e-3
+    """Share of the cost that the barriers may cost at the end."""
+
+    def __post_init__(self) -> None:
+        gains = getattr(self.gains, "K", self.gains)  # of a Policy
+        if isinstance(gains, str):
+            choose("gains", gains, GAINS)
+        elif not (isinstance(gains, np.ndarray) and gains.ndim == 3 and np.isfinite(gains).all()):
+            there = ", ".join(repr(name) for name in GAINS)
+            raise ValueError(
+                f"gains must be one of {there}, a Policy with gains or an array (N, nu, ndx), got {gains!r}"
+            )
+        object.__setattr__(self, "gains", gains)
+        object.__setattr__(self, "regulator", _weights(self.regulator))
+        choose("limits", self.limits, LIMITS)
+        positive("barrier", self.barrier)
+
+
+@dataclass(frozen=True)
+class ProntoOptions(CurveOptions):
+    """Options of `pronto`."""
+
+    order: str = "gauss-newton"
+    """"first", "gauss-newton" or "newton": second derivatives in the LQ problem."""
+    globalize: str = "blend"
+    """"blend", "gauss-newton", "gopronto" or "none": what "newton" does where its LQ problem is not convex."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        choose("order", self.order, ORDERS)
+        choose("globalize", self.globalize, GLOBALIZERS)
+
+
+@dataclass(frozen=True)
+class GoprontoOptions(CurveOptions):
+    """Options of `gopronto`."""
+
+    variant: str = "quasi-newton"
+    """"gradient", "conjugate", "heavy-ball", "nesterov" (the paper's four) or "quasi-newton"."""
+    step_rule: str = "interpolated"
+    """"armijo": halving; "interpolated": halving, then the minimum of a parabola; "fixed"; "diminishing"."""
+    step_size: float = 1e-3
+    """Of fixed steps, and the first of diminishing ones, step_size / (k + 1)."""
+    momentum: float = 0.9
+    """Share of the last step that "heavy-ball" adds."""
+    restarts: bool = True
+    """Whether conjugate directions and momentum start anew where their tests fail."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        choose("variant", self.variant, VARIANTS)
+        choose("step_rule", self.step_rule, STEP_RULES)
+        positive("step_size", self.step_size)
+        momentum = self.momentum
+        number = isinstance(momentum, (int, float, np.integer, np.floating)) and not isinstance(momentum, bool)
+        if not (number and 0.0 <= momentum < 1.0):
+            raise ValueError(f"momentum must be a number of at least 0 and below 1, got {momentum!r}")
+        _check_flag("restarts", self.restarts)
 
 
 RECORDS: dict[str, type[Any]] = {
@@ -206,6 +290,8 @@ RECORDS: dict[str, type[Any]] = {
     "gradient": GradientOptions,
     "constrained": ConstrainedOptions,
     "square-root-sweep": SquareRootSweepOptions,
+    "pronto": ProntoOptions,
+    "gopronto": GoprontoOptions,
 }
 """The record of each method."""
 COMMON = ("tol", *(field.name for field in fields(Stopping)))
@@ -256,3 +342,19 @@ def _listed(name: str, given: Any) -> list[Any]:
     if not isinstance(given, (list, tuple)):
         raise ValueError(f"{name} must be a list, got {given!r}")
     return list(given)
+
+
+def _weights(given: Any) -> tuple[Any, ...] | None:
+    """Weights of a regulator as nested tuples of numbers; whether they fit a system is for the solve to say."""
+    if given is None:
+        return None
+    what = "regulator must be a pair (Q, R) or (Q, R, Q_N) of numbers, diagonals or matrices"
+    if isinstance(given, (str, bytes)) or not hasattr(given, "__len__") or len(given) not in (2, 3):
+        raise ValueError(f"{what}, got {given!r}")
+    try:
+        parts = [np.asarray(part, dtype=np.float64) for part in given]
+    except (TypeError, ValueError):
+        raise ValueError(f"{what}, got {given!r}") from None
+    if any(part.ndim > 2 or not np.isfinite(part).all() or (part.ndim < 2 and (part < 0.0).any()) for part in parts):
+        raise ValueError(f"{what}, finite and not negative, got {given!r}")
+    return tuple(part.tolist() for part in parts)

@@ -27,6 +27,7 @@ from mjslq.lq.adjoint import adjoint
 from mjslq.lq.box import Box
 from mjslq.lq.problem import Mask
 from mjslq.options import check as check_options
+from mjslq.residuals import Slopes
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array, count, finite, frozen, refrozen
@@ -191,6 +192,14 @@ class Problem:
         for term in self._terms:
             term.expand(trajectory, linearization, expansion)
         return expansion
+
+    def slopes(self, trajectory: Trajectory) -> Slopes:
+        """Gradients of the cost by states, controls and outputs along `trajectory`, without Jacobians of the steps."""
+        dynamics = self.dynamics
+        slopes = Slopes.zeros(self.horizon, dynamics.ndx, dynamics.nu, dynamics.ny)
+        for term in self._terms:
+            term.slopes(trajectory, slopes)
+        return slopes
 
     def complete(self, trajectory: Trajectory, expansion: Expansion) -> tuple[Expansion, Array]:
         """Second-order expansion with the whole Hessian, from the Gauss-Newton one, and dJ/dy.

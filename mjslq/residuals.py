@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mjslq.dynamics.dynamics import Dynamics, Linearization
 from mjslq.knots import Knots
-from mjslq.quadratic import Expansion
+from mjslq.quadratic import Expansion, transposed_times
 from mjslq.rotation import conjugate, inverse_right_jacobian, log, product
 from mjslq.trajectory import Trajectory
 from mjslq.user_function import UserFunction
@@ -55,6 +55,22 @@ class Jacobian(NamedTuple):
     """By control; what it says at knot N means nothing. Shape (k, m, nu)."""
 
 
+class Slopes(NamedTuple):
+    """Gradients of a cost by states, controls and outputs, each as if the others stayed."""
+
+    q: Array
+    """By states, in tangent directions. Shape (N + 1, ndx)."""
+    r: Array
+    """By controls. Shape (N, nu)."""
+    y: Array
+    """By outputs. Shape (N + 1, ny)."""
+
+    @staticmethod
+    def zeros(N: int, ndx: int, nu: int, ny: int) -> Slopes:
+        """Slopes to add to."""
+        return Slopes(np.zeros((N + 1, ndx)), np.zeros((N, nu)), np.zeros((N + 1, ny)))
+
+
 class BoundResidual(ABC):
     """A residual at the knots of a horizon where it acts."""
 
@@ -74,6 +90,12 @@ class BoundResidual(ABC):
     @abstractmethod
     def jacobian(self, trajectory: Trajectory, linearization: Linearization) -> Jacobian:
         """Derivatives of r_n."""
+
+    @abstractmethod
+    def pull_back(self, trajectory: Trajectory, weights: Array, into: Slopes) -> None:
+        """Add dr/dx'w, dr/du'w and dr/dy'w at each knot to `into`, for weights (k, m): for gradients without Jacobians
+        of the steps.
+        """
 
     def curvature(self, trajectory: Trajectory, weights: Array, into: Expansion, output_weights: Array) -> None:
         """Add sum_i w_i d2r_i/d(x, u)2 at each knot: to `into`, or for outputs dr/dy'w to `output_weights` (N + 1, ny).
@@ -105,6 +127,16 @@ class StateResidual(BoundResidual):
             return self.constant_jacobian
         return Jacobian(self._dynamics.difference_jacobian(self._target, trajectory.X[self.knots.at]), None)
 
+    def pull_back(self, trajectory: Trajectory, weights: Array, into: Slopes) -> None:
+        """See `BoundResidual.pull_back`."""
+        if self.constant_jacobian is not None:
+            into.q[self.knots.at] += weights
+            return
+        for n, knot in enumerate(self.knots.indices):  # knot by knot: no (N, ndx, ndx) array
+            J = self._dynamics.difference_jacobian(self._target[n], trajectory.X[knot])
+            assert J is not None
+            into.q[knot] += weights[n] @ J
+
 
 class ControlResidual(BoundResidual):
     """u_n - target_n."""
@@ -123,6 +155,10 @@ class ControlResidual(BoundResidual):
         """See `BoundResidual.jacobian`."""
         return self.constant_jacobian
 
+    def pull_back(self, trajectory: Trajectory, weights: Array, into: Slopes) -> None:
+        """See `BoundResidual.pull_back`."""
+        into.r[self.knots.at_steps] += weights
+
 
 class OutputResidual(BoundResidual):
     """y_n[columns] - target_n."""
@@ -140,6 +176,10 @@ class OutputResidual(BoundResidual):
     def jacobian(self, trajectory: Trajectory, linearization: Linearization) -> Jacobian:
         """See `BoundResidual.jacobian`."""
         return Jacobian(*self._of_outputs(linearization))
+
+    def pull_back(self, trajectory: Trajectory, weights: Array, into: Slopes) -> None:
+        """See `BoundResidual.pull_back`."""
+        into.y[self.knots.at, self._columns] += weights
 
     def curvature(self, trajectory: Trajectory, weights: Array, into: Expansion, output_weights: Array) -> None:
         """See `BoundResidual.curvature`."""
@@ -173,6 +213,10 @@ class OrientationResidual(OutputResidual):
         turn = self._by_reading(trajectory)
         return Jacobian(turn @ C, None if D is None else turn @ D)
 
+    def pull_back(self, trajectory: Trajectory, weights: Array, into: Slopes) -> None:
+        """See `BoundResidual.pull_back`."""
+        into.y[self.knots.at, self._columns] += transposed_times(self._by_reading(trajectory), weights)
+
     def curvature(self, trajectory: Trajectory, weights: Array, into: Expansion, output_weights: Array) -> None:
         """Nothing: the curvature of rotations is left out."""
 
@@ -202,6 +246,14 @@ class FunctionResidual(BoundResidual):
         basis = self._bases(trajectory)
         by_x = np.ascontiguousarray(J[:, :, :nx]) if basis is None else J[:, :, :nx] @ basis
         return Jacobian(by_x, np.ascontiguousarray(J[:, :, nx:]) if len(self.knots.steps) else None)
+
+    def pull_back(self, trajectory: Trajectory, weights: Array, into: Slopes) -> None:
+        """See `BoundResidual.pull_back`."""
+        g = transposed_times(self._function.jacobians(self._points(trajectory), self._times), weights)
+        nx, basis = self._dynamics.nx, self._bases(trajectory)
+        by_x = g[:, :nx]
+        into.q[self.knots.at] += by_x if basis is None else transposed_times(basis, by_x)
+        into.r[self.knots.at_steps] += g[: len(self.knots.steps), nx:]
 
     def curvature(self, trajectory: Trajectory, weights: Array, into: Expansion, output_weights: Array) -> None:
         """See `BoundResidual.curvature`."""

@@ -27,11 +27,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjslq.dynamics.derivative_check import DerivativeCheck, check_jacobians
+from mjslq.dynamics.records import Adjoint as Adjoint
 from mjslq.dynamics.records import Curvature as Curvature
 from mjslq.dynamics.records import Feedback as Feedback
 from mjslq.dynamics.records import Linearization as Linearization
 from mjslq.dynamics.records import Output as Output
-from mjslq.dynamics.records import curvature_of
+from mjslq.dynamics.records import Sides as Sides
+from mjslq.dynamics.records import curvature_of, feedback_arguments, slices
+from mjslq.lq.adjoint import closed_loop_adjoint
 from mjslq.manifold import StateSpace
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array
@@ -145,6 +148,48 @@ class Dynamics(ABC):
     @abstractmethod
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step of `trajectory`."""
+
+    def linearize_slice(self, trajectory: Trajectory, first: int, last: int) -> Linearization:
+        """Jacobians of the steps first ... last - 1 of `trajectory`, and of the outputs at their knots.
+
+        The outputs at knot `last` are those of the horizon's end. Engines whose steps depend on time have their own.
+        """
+        between, knots, steps = trajectory.substates, slice(first, last + 1), slice(first, last)
+        part = Trajectory.unchecked(
+            trajectory.X[knots], trajectory.U[steps], trajectory.Y[knots], np.asarray(trajectory.dt)[steps],
+            substates=None if between is None else between[steps],
+        )  # fmt: skip
+        return self.linearize(part)
+
+    def adjoint(
+        self,
+        trajectory: Trajectory,
+        q: Array,
+        r: Array,
+        K: Array | None = None,
+        y: Array | None = None,
+        sides: Sides | None = None,
+    ) -> Adjoint:
+        """Costates and gradient of a cost along `trajectory` under feedback, without the Jacobians of all steps.
+
+        `q` (N + 1, ndx), `r` (N, nu) and `y` (N + 1, ny) are the gradients of the cost by states, controls and outputs,
+        `K` (N, nu, ndx) the gains, `sides` (N, nu) where controls are at limits; see `mjslq.lq.adjoint`. Memory is
+        linear in N ndx: Jacobians are made for some steps at a time, from the last to the first.
+        """
+        N = trajectory.horizon
+        costates, gradient = np.array(q), np.array(r)
+        K, sides, held = feedback_arguments(N, self.nu, self.ndx, K, sides)
+        for first, last in slices(N, self.ndx):
+            A, B, C, D = self.linearize_slice(trajectory, first, last)
+            steps = slice(first, last)
+            if y is not None and self.ny:
+                knots = slice(first, last + (last == N))
+                costates[knots] += np.einsum("nyi,ny->ni", C[: knots.stop - first], y[knots])
+                gradient[steps] += np.einsum("nyi,ny->ni", D[: last - first], y[steps])
+            closed_loop_adjoint(
+                A, B, K[steps], sides[steps], costates[first : last + 1], gradient[steps], held[steps]
+            )  # fmt: skip
+        return Adjoint(costates, gradient, held)
 
     def step_each(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
         """One step from each knot, the knots being independent of each other, as a state guess has them.

@@ -26,10 +26,11 @@ from numba.core.dispatcher import Dispatcher
 from numpy.typing import ArrayLike
 
 from mjslq.dynamics import function_kernels as kernels
-from mjslq.dynamics.dynamics import Curvature, Dynamics, Feedback, Linearization
+from mjslq.dynamics.dynamics import Adjoint, Curvature, Dynamics, Feedback, Linearization, Sides
+from mjslq.dynamics.function_adjoint import adjoint_kernel, check_pullback
 from mjslq.dynamics.function_arguments import limits_of, names_of, plain, with_all_arguments
 from mjslq.dynamics.function_derivatives import Derivatives
-from mjslq.dynamics.records import curvature_of
+from mjslq.dynamics.records import curvature_of, feedback_arguments
 from mjslq.manifold import StateSpace
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
@@ -65,6 +66,9 @@ class FunctionDynamics(Dynamics):
     hessian : callable, optional
         hessian(x, u, t, costate) -> (H_xx (nx, nx), H_ux (nu, nx), H_uu (nu, nu)), the second derivatives of
         costate' x_{n+1}, the *discrete step*; by differences of first derivatives unless given.
+    pullback : callable, optional
+        pullback(x, u, t, p, w) -> (f_x'w, f_u'w) as one row (nx + nu,), of f itself, not of the step; compiled, for
+        compiled f. With it `adjoint`, and the methods that live on it, make no Jacobians.
     outputs : callable, optional
         y = outputs(x, u), outputs(x, u, t) or outputs(x, u, t, p), shape (ny,), recorded along rollouts; differentiated
         as `jacobian` says. Plain Python, or compiled with `numba.njit`.
@@ -96,6 +100,7 @@ class FunctionDynamics(Dynamics):
         integrator: Integrator = "rk4",
         jacobian: Literal["complex-step", "finite-difference"] | Callable[..., Any] = "complex-step",
         hessian: Callable[..., Any] | None = None,
+        pullback: Callable[..., Any] | None = None,
         outputs: Callable[..., Any] | None = None,
         control_limits: tuple[ArrayLike, ArrayLike] | ArrayLike | None = None,
         parameters: ArrayLike = (),
@@ -135,6 +140,9 @@ class FunctionDynamics(Dynamics):
         self._f, self._given = with_all_arguments(f, self.compiled), (f, outputs)
         self._scene = scene
         self._probe()
+        self._pullback = pullback
+        if pullback is not None:
+            check_pullback(pullback, self.compiled, self.nx, self.nu, self.parameters)
         self._read, self._reads_compiled, self.ny = self._reading(outputs)
         by_differences, step = jacobian == "finite-difference", float(np.ravel(self.dt)[0])
         self._steps, self._readings = self._derivatives(by_differences, by_differences)
@@ -192,16 +200,40 @@ class FunctionDynamics(Dynamics):
 
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step of `trajectory`, and of the outputs."""
+        return self.linearize_slice(trajectory, 0, trajectory.horizon)
+
+    def linearize_slice(self, trajectory: Trajectory, first: int, last: int) -> Linearization:
+        """Jacobians of some steps; see `Dynamics.linearize_slice`."""
         self.check_trajectory(trajectory)
-        N = trajectory.horizon
-        X, U = trajectory.X, trajectory.U
+        X, U, N = trajectory.X[first : last + 1], trajectory.U[first:last], last - first
+        times, steps = (part[first:last] for part in self._time_grid(trajectory.horizon))
         A, B = np.empty((N, self.nx, self.nx)), np.empty((N, self.nx, self.nu))
         if self._given_jacobian is not None:
-            for n, t in enumerate(self._grid(N)[0]):
+            for n, t in enumerate(times):
                 A[n], B[n] = self._checked_jacobian(*self._given_jacobian(X[n], U[n], t))
         else:
-            self._steps.jacobians(*self._time_grid(N), X, U, A, B)
-        return Linearization(A, B, *self._linearize_outputs(X, U))
+            self._steps.jacobians(times, steps, X, U, A, B)
+        return Linearization(A, B, *self._linearize_outputs(X, U, np.append(times, times[-1] + steps[-1])))
+
+    def adjoint(
+        self,
+        trajectory: Trajectory,
+        q: Array,
+        r: Array,
+        K: Array | None = None,
+        y: Array | None = None,
+        sides: Sides | None = None,
+    ) -> Adjoint:
+        """Costates and gradient under feedback, by the pullback where there is one; see `Dynamics.adjoint`."""
+        if self._pullback is None or (self.ny and y is not None and y.any()):
+            return super().adjoint(trajectory, q, r, K, y, sides)
+        self.check_trajectory(trajectory)
+        N, costates, gradient = trajectory.horizon, np.array(q), np.array(r)
+        K, sides, held = feedback_arguments(N, self.nu, self.nx, K, sides)
+        f, *rest = self._arguments(N)
+        X, U = trajectory.X, trajectory.U
+        adjoint_kernel()(f, self._pullback, *rest, X, U, K, sides, costates, gradient, held)
+        return Adjoint(costates, gradient, held)
 
     def step_each(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
         """One step from each knot; see `Dynamics.step_each`."""
@@ -308,10 +340,10 @@ class FunctionDynamics(Dynamics):
     def _reader(self, python: Callable[..., Any]) -> Callable[..., Any]:
         return kernels.compiled(python) if self._reads_compiled else python
 
-    def _linearize_outputs(self, X: Array, U: Array) -> tuple[Array, Array]:
+    def _linearize_outputs(self, X: Array, U: Array, times: Array) -> tuple[Array, Array]:
         C, D = np.zeros((len(X), self.ny, self.nx)), np.zeros((len(X), self.ny, self.nu))
         if self.ny:
-            times, held = self._knots(U)
+            held = np.vstack([U, np.zeros((1, self.nu))])
             self._readings.jacobians(times, np.ones(len(X)), X, held, C, D)
             D[-1] = 0.0
         return C, D

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mjslq.validation import Array
+
+Sides = np.ndarray[Any, np.dtype[np.int8]]
+"""Where controls are: `mjslq.lq.adjoint.FREE`, LOWER, UPPER or FIXED. Shape (N, nu)."""
+SLICE = 16
+"""Steps at least whose Jacobians are made at a time where memory has to stay small."""
 
 
 class Linearization(NamedTuple):
@@ -56,6 +62,17 @@ class Feedback(NamedTuple):
         return Feedback(*(np.ascontiguousarray(array, dtype=np.float64) for array in self))
 
 
+class Adjoint(NamedTuple):
+    """Derivatives of a cost along a trajectory, under feedback u_n = v_n - K_n dx_n where there is one."""
+
+    costates: Array
+    """By the states. Shape (N + 1, ndx)."""
+    gradient: Array
+    """By the feedforward v. Shape (N, nu)."""
+    held: np.ndarray[Any, np.dtype[np.bool_]]
+    """Controls at a limit that descent would push beyond it. Shape (N, nu)."""
+
+
 class Output(NamedTuple):
     """Where a named output stands in y."""
 
@@ -69,3 +86,20 @@ def curvature_of(H: Array, ndx: int) -> Curvature:
     """Blocks of the Hessians by (x, u) at every knot. Shape (N + 1, ndx + nu, ndx + nu)."""
     blocks = H[:, :ndx, :ndx], H[:-1, ndx:, :ndx], H[:-1, ndx:, ndx:]
     return Curvature(*(np.ascontiguousarray(block) for block in blocks))
+
+
+def slices(N: int, ndx: int) -> Iterator[tuple[int, int]]:
+    """Steps (first, last) that follow each other backward, so many that their Jacobians take as much room as states."""
+    size, last = max(SLICE, N // max(ndx, 1)), N
+    while last > 0:
+        first = max(0, last - size)
+        yield first, last
+        last = first
+
+
+def feedback_arguments(
+    N: int, nu: int, ndx: int, K: Array | None, sides: Sides | None
+) -> tuple[Array, Sides, np.ndarray[Any, np.dtype[np.bool_]]]:
+    """Gains and sides as compiled code takes them, without rows where there are none, and room for what is held."""
+    gains = np.empty((0, nu, ndx)) if K is None else np.ascontiguousarray(K)
+    return gains, np.empty((0, nu), np.int8) if sides is None else sides, np.zeros((N, nu), np.bool_)

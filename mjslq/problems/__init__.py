@@ -34,6 +34,7 @@ _CATALOGUE = {
     "quadrotor_obstacles": "a planar quadrotor flies past two discs",
     "car_obstacles": "a car parks past three discs",
     "arm_obstacle": "an arm of three links swings its hand round a disc",
+    "cart_train": "carts with pendulums, coupled by springs, that swing between two angles (Sforni et al., GoPRONTO)",
     "panda_reach": "a seven-joint arm that reaches for a point, on MuJoCo or Pinocchio",
 }
 

@@ -1,4 +1,4 @@
-"""`gradient`: steepest descent with exact line search, the yardstick of the papers.
+"""`gradient`: steepest descent with a line search, exact unless told otherwise: the yardstick of the papers.
 
     U <- [ U - t dJ/dU ],    t > 0 the minimizer of the cost along the ray, clipped to the limits of the controls
 
@@ -32,7 +32,7 @@ class Gradient(Method):
     tests_direction = False  # its length says nothing here
 
     def __init__(self, options: GradientOptions) -> None:
-        self.search = LineSearch(Search(line_search="exact", step="open-loop", acceleration=False))
+        self.search = LineSearch(Search(line_search=options.line_search, step="open-loop", acceleration=False))
         self._length: float | None = None
 
     def direction(self, here: Iterate) -> Direction:

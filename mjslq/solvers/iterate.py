@@ -170,6 +170,10 @@ class Iterate:
         """dJ/dU. Shape (N, nu)."""
         return self._adjoint[1]
 
+    def slope_along(self, direction: Direction) -> float:
+        """Derivative of the cost along a direction."""
+        return float(np.vdot(self.gradient, direction.U) + self.start_gradient @ direction.X[0])
+
     @cached_property
     def projected_gradient(self) -> Array:
         """dJ/dU without the entries that push against a limit: zero at a minimum. Shape (N, nu)."""

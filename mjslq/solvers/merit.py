@@ -46,7 +46,7 @@ class CostAndGaps:
     def slope(self, here: Iterate, direction: Direction) -> float:
         """See `Merit`."""
         if here.gaps is None:
-            return float(np.vdot(here.gradient, direction.U) + here.start_gradient @ direction.X[0])
+            return here.slope_along(direction)
         model = here.gauss_newton
         along = float(np.vdot(model.q, direction.X) + np.vdot(model.r, direction.U))
         return along - self.weight * float(np.abs(here.gaps).sum())
