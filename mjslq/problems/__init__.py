@@ -26,6 +26,7 @@ _CATALOGUE = {
     "cart_pole": "a pole on a cart swings up, the force limited",
     "double_pendulum": "a double pendulum swings up by two limited motors",
     "acrobot": "a double pendulum swings up by one motor in its elbow",
+    "box_push": "a finger pushes a box over a floor to a place, and turns it",
     "panda_reach": "a seven-joint arm that reaches for a point, on MuJoCo or Pinocchio",
 }
 

@@ -2,7 +2,7 @@
 
     J = h sum_n [ 1/2 |x_n - x_stand|^2_W + 1/2 r |u_n|^2 ] + 1/2 |x_N - x_stand|^2_{W_final}
 
-x = (q, v) with a free base, u the twelve joint torques [Nm]. The feet touch the floor through MuJoCo's soft contact.
+x = (q, v) with a free base, u the twelve joint torques [Nm]. The feet touch the floor through a smooth contact.
 """
 
 from __future__ import annotations
@@ -28,10 +28,18 @@ SPRING, DAMPER = 5.0, 0.1
 
 
 def solo12_stand(
-    horizon: int = 100, timestep: float = 0.01, crouch: float = 1.2, stand: float = 0.8, effort: float = 1e-2
+    horizon: int = 100,
+    timestep: float = 0.01,
+    crouch: float = 1.2,
+    stand: float = 0.8,
+    effort: float = 1e-2,
+    contact: str = "smooth",
 ) -> Problem:
-    """Rise from thighs at the angle `crouch` to `stand` [rad], knees at twice as much, in `horizon` steps [s]."""
-    dynamics = _dynamics(positive("timestep", timestep))
+    """Rise from thighs at the angle `crouch` to `stand` [rad], knees at twice as much, in `horizon` steps [s].
+
+    `contact` is "smooth" or "stiff" (`mjslq.Contact`).
+    """
+    dynamics = solo12(positive("timestep", timestep), contact)
     start, goal = (standing(dynamics.model, _posture(angle)) for angle in (crouch, stand))
     nv = dynamics.ndx // 2
     positions = np.concatenate([[10.0, 10.0, 10.0, 10.0, 10.0, 10.0], np.full(nv - 6, 1.0)])
@@ -70,7 +78,8 @@ def _posture(angle: float) -> dict[str, float]:
     return front | hind
 
 
-def _dynamics(timestep: float) -> MujocoDynamics:
+def solo12(timestep: float, contact: str) -> MujocoDynamics:
+    """The robot on a floor, a motor on each joint."""
     import mujoco
 
     spec: Any = on_floor("solo12", tuple(f"{leg}_FOOT" for leg in LEGS), timestep, 0.01, FOOT_RADIUS)
@@ -79,4 +88,4 @@ def _dynamics(timestep: float) -> MujocoDynamics:
             motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             motor.gainprm[0] = 1.0
             joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
-    return MujocoDynamics.from_spec(spec, name="solo12")
+    return MujocoDynamics.from_spec(spec, name="solo12", contact=contact)
