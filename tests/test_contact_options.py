@@ -140,7 +140,9 @@ def test_a_box_is_pushed_from_controls_that_touch_nothing():
     """From servos that stay, no true derivative tells of the box; with foresight it gets to its place."""
     blind = mjslq.problems.get("box_push", start="still")
     assert not blind.gradient(blind.rollout(blind.U0)).any()
-    assert mjslq.solve(blind).iterations == 0
+    ended = mjslq.solve(blind)
+    assert (ended.status, ended.iterations) == (mjslq.Status.NO_CONTACT_GRADIENT, 0)
+    assert not ended.success and "foresight" in ended.message
     problem = mjslq.problems.get("box_push", start="still", foresight=0.2)
     assert np.abs(problem.gradient(problem.rollout(problem.U0))).max() > 0.1
     result = mjslq.solve(problem, "slq", multiplier="state", line_search="armijo", max_iterations=60)
@@ -149,6 +151,35 @@ def test_a_box_is_pushed_from_controls_that_touch_nothing():
     distance, angle = errors(result.trajectory, np.array([0.3, 0.1, 0.05]), 0.5)
     assert distance < 0.02 and angle < 0.1
     assert "Derivatives with a foresight of 0.2 m for" in result.message
+
+
+BESIDE = """<mujoco><option timestep=".02" integrator="implicitfast"/><worldbody>
+<geom type="plane" size="2 2 .1"/>
+<body pos="0 0 .5"><joint name="hinge" axis="0 1 0" damping=".5"/><geom size=".05" pos=".2 0 0" mass="1"/></body>
+<body pos="1 0 .1"><joint name="fall" type="slide" axis="0 0 1"/><geom size=".1" mass="1"/></body>
+</worldbody><actuator><motor joint="hinge" ctrlrange="-5 5"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("where, status", [(0.0, "converged"), (0.3, "no_contact_gradient")])
+def test_a_body_that_nothing_touches_counts_if_the_cost_is_about_it(where, status):
+    """A pendulum, and a ball that lies on the floor beside it: as the cost wants it, but for sinking in, or not."""
+    dynamics = mjslq.MujocoDynamics.from_xml(BESIDE)
+    terms = [mjslq.costs.Control(1e-2), mjslq.costs.State([1.0, 10.0, 0.1, 0.1], [0.5, where, 0.0, 0.0], "always")]
+    assert mjslq.solve(mjslq.Problem(dynamics, 50, np.zeros(4), terms)).status.value == status
+
+
+def test_a_search_that_limits_end_says_so(monkeypatch):
+    """Where no step is found: nearly all controls at their limits or not makes the difference."""
+    from mjslq.solvers.auto import Auto
+    from mjslq.solvers.method import Step
+
+    monkeypatch.setattr(Auto, "step", lambda *arguments: Step(None))
+    for target, status in ((5.0, "at_limits"), (0.1, "step_too_small")):
+        costs = [mjslq.costs.Control(1e-6), mjslq.costs.State([1e3, 1.0], [target, 0.0], "terminal")]
+        problem = mjslq.Problem(ball(), 20, [0.3, 0.0], costs, U0=[-20.0] if target == 5.0 else [0.0])
+        result = mjslq.solve(problem)
+        assert result.status.value == status and not result.success
+        assert ("Widen the limits" in result.message) is (status == "at_limits")
 
 
 def test_converged_is_said_of_true_derivatives_alone():

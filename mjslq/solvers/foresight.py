@@ -19,7 +19,9 @@ from mjslq.solvers.method import Method
 from mjslq.solvers.monitor import Monitor
 from mjslq.status import Status
 
-ENDED = (Status.CONVERGED, Status.STEP_TOO_SMALL, Status.INFEASIBLE)
+ENDED = (
+    Status.CONVERGED, Status.STEP_TOO_SMALL, Status.INFEASIBLE, Status.AT_LIMITS, Status.NO_CONTACT_GRADIENT
+)  # fmt: skip
 """Endings of the first descent after which there is more to be done."""
 
 
