@@ -40,7 +40,7 @@ def solo12_stand(
     `contact` is "smooth" or "stiff" (`mjslq.Contact`).
     """
     dynamics = solo12(positive("timestep", timestep), contact)
-    start, goal = (standing(dynamics.model, _posture(angle)) for angle in (crouch, stand))
+    start, goal = (standing(dynamics.model, posture(angle)) for angle in (crouch, stand))
     nv = dynamics.ndx // 2
     positions = np.concatenate([[10.0, 10.0, 10.0, 10.0, 10.0, 10.0], np.full(nv - 6, 1.0)])
     running = np.concatenate([positions, np.full(nv, 0.01)])
@@ -50,7 +50,7 @@ def solo12_stand(
         horizon=count("horizon", horizon),
         x0=start,
         costs=[State(running, goal), State(final, goal, "terminal"), Control(positive("effort", effort))],
-        U0=_spring_legs(dynamics, start, goal, horizon),
+        U0=spring_legs(dynamics, start, goal, horizon),
         # Contacts that open and close leave kinks in the cost; near its end the search only shuffles them.
         options={"tol_direction": 1e-3},
         describe=partial(describe, height=goal[2]),
@@ -63,7 +63,7 @@ def describe(trajectory: Trajectory, height: float) -> dict[str, str]:
     return {"base": f"at {z:.4f} m, {1e3 * (z - height):+.1f} mm from where it is to be, speed {speed:.3f} m/s"}
 
 
-def _spring_legs(dynamics: MujocoDynamics, start: Array, goal: Array, N: int) -> Array:
+def spring_legs(dynamics: MujocoDynamics, start: Array, goal: Array, N: int) -> Array:
     """Torques of legs that springs and dampers pull into the posture of `goal`: a start that stays on its feet."""
     nv, joints = dynamics.ndx // 2, np.arange(dynamics.nu)
     K = np.zeros((N, dynamics.nu, dynamics.ndx))
@@ -72,7 +72,8 @@ def _spring_legs(dynamics: MujocoDynamics, start: Array, goal: Array, N: int) ->
     return dynamics.rollouts(start[None], np.zeros((1, N, dynamics.nu)), law)[0].U
 
 
-def _posture(angle: float) -> dict[str, float]:
+def posture(angle: float) -> dict[str, float]:
+    """Angles of the joints with thighs at `angle` [rad], knees bent by twice as much, hind legs mirrored."""
     front = {f"{leg}_HFE": angle for leg in LEGS[:2]} | {f"{leg}_KFE": -2.0 * angle for leg in LEGS[:2]}
     hind = {f"{leg}_HFE": -angle for leg in LEGS[2:]} | {f"{leg}_KFE": 2.0 * angle for leg in LEGS[2:]}
     return front | hind
