@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from mjslq import starts as starts
     from mjslq.batch import solve_many as solve_many
     from mjslq.bounds import Bounds as Bounds
+    from mjslq.contact import Contact as Contact
     from mjslq.dynamics.derivative_check import DerivativeCheck as DerivativeCheck
     from mjslq.dynamics.dynamics import Dynamics as Dynamics
     from mjslq.dynamics.dynamics import Linearization as Linearization
@@ -56,6 +57,7 @@ _HOME = {
     "simulation": "mjslq.simulation",
     "starts": "mjslq.starts",
     "Bounds": "mjslq.bounds",
+    "Contact": "mjslq.contact",
     "DerivativeCheck": "mjslq.dynamics.derivative_check",
     "Dynamics": "mjslq.dynamics.dynamics",
     "FunctionDynamics": "mjslq.dynamics.function",

@@ -29,6 +29,7 @@ from typing import Any
 
 import numpy as np
 
+from mjslq.cores import usable_cores
 from mjslq.files import atomic_write
 from mjslq.problem import Problem
 from mjslq.result import Result, load
@@ -115,7 +116,7 @@ def solve_many(
         raise ValueError("give either executor or workers, which is for the processes started without one")
     if isinstance(problems, Problem):
         raise ValueError("problems must be several, such as a list; for one there is mjslq.solve")
-    workers = _usable_cores() if workers is None else count("workers", workers)
+    workers = usable_cores() if workers is None else count("workers", workers)
     room = (workers + 1 if executor is None else IN_FLIGHT) if in_flight is None else count("in_flight", in_flight)
     folder = None if out is None else _folder(out)
     options.setdefault("keep_iterates", False)
@@ -346,7 +347,3 @@ def _shown(found: Iterator[Solved], total: int | None) -> Iterator[Solved]:
             converged += solved.success
             bar.update(task, completed=n, told=f"{converged} converged, {n - converged} not")
             yield solved
-
-
-def _usable_cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -18,10 +18,11 @@ from mjslq.result import Result
 from mjslq.solvers.auto import Auto
 from mjslq.solvers.constrained import Constrained
 from mjslq.solvers.gopronto import Gopronto
+from mjslq.solvers.foresight import descend_with_foresight
 from mjslq.solvers.gradient import Gradient
 from mjslq.solvers.interrupts import Interrupts
 from mjslq.solvers.iterate import Iterate
-from mjslq.solvers.loop import Outcome, descend
+from mjslq.solvers.loop import Outcome
 from mjslq.solvers.method import Method
 from mjslq.solvers.monitor import Monitor
 from mjslq.solvers.newton import Newton
@@ -222,7 +223,7 @@ def solve(
             here = Iterate(problem, problem.dynamics.rollouts(start.x0[None], start.U[None])[0])
         else:
             here = Iterate.guess(problem, start.X, start.U)
-        outcome = descend(here, chosen.make(record), stopping, monitor, interrupts)
+        outcome = descend_with_foresight(here, lambda: chosen.make(record), stopping, monitor, interrupts)
         remarks = [start.remark, routed, outcome.remark]
         result = _result(outcome, monitor, problem, method, asdict(stopping) | asdict(record), remarks)
     if verbose:
@@ -325,5 +326,6 @@ def _result(
         },
         space=dynamics.space,
         scene=problem.scene(),
+        contact=dynamics.contact,
         error=outcome.error,
     )

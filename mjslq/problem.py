@@ -147,6 +147,12 @@ class Problem:
         away = self.dynamics.difference(np.asarray(self.x0), x)
         return self.dynamics.integrate(np.asarray(self.x0), np.where(self.free_start, away, 0.0))
 
+    def on(self, dynamics: Dynamics) -> Problem:
+        """The same problem on an engine that differs from its own in nothing but the derivatives that it gives."""
+        moved = copy.copy(self)
+        object.__setattr__(moved, "dynamics", dynamics)
+        return moved
+
     def rollout(self, U: ArrayLike) -> Trajectory:
         """Simulate from x0 under the controls `U` (N, nu)."""
         return self.dynamics.rollout(self.x0, self.checked_controls(U))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from mjslq.contact import Contact, Replay
 from mjslq.log import IterationLog
 from mjslq.manifold import StateSpace
 from mjslq.policy import Policy
@@ -72,6 +74,8 @@ class Result:
     """Where the state's quaternions are."""
     scene: Scene | None = None
     """What a viewer draws; None when the problem has nothing to draw."""
+    contact: Contact | None = None
+    """How hard bodies touched in the model that it was solved with; None where the engine knows no contacts."""
     error: str = ""
     """Traceback of the error that ended the solve; empty for other endings."""
 
@@ -92,6 +96,41 @@ class Result:
         """The feedback about `trajectory`, limits included; it needs no solver."""
         t = self.trajectory
         return Policy(t.X, t.U, self.gains, t.dt, self.lower, self.upper, self.space)
+
+    @cached_property
+    def penetration(self) -> float:
+        """Largest depth of a contact at the knots of `trajectory`; 0 where nothing touches or nothing is known. [m]"""
+        if self.contact is None or self.scene is None:
+            return 0.0
+        from mjslq.dynamics.mujoco.replay import penetration
+
+        return penetration(self)
+
+    def replay(self, contact: str | Contact = "stiff", *, feedback: bool = True) -> Replay:
+        """Simulate the same controls on the same model with another kind of contact: what a smooth one has hidden.
+
+        Parameters
+        ----------
+        contact : str or Contact
+            "stiff", "smooth", "model" (the model's own parameters) or a `mjslq.Contact`.
+        feedback : bool
+            Whether the policy acts, its gains included; the controls alone otherwise.
+
+        Returns
+        -------
+        Replay
+            Its trajectory can be handed to `problem.cost`.
+
+        Raises
+        ------
+        ValueError
+            For results whose engine knows no contacts, and unknown kinds.
+        """
+        if self.contact is None or self.scene is None:
+            raise ValueError("only results of MuJoCo models can be replayed with other contacts")
+        from mjslq.dynamics.mujoco.replay import replay
+
+        return replay(self, Contact.of(contact), feedback)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything to `path` (NumPy's npz), whole or not at all."""

@@ -17,6 +17,8 @@ class Status(enum.Enum):
     INTERRUPTED = "interrupted"
     STOPPED = "stopped"
     INFEASIBLE = "infeasible"
+    AT_LIMITS = "at_limits"
+    NO_CONTACT_GRADIENT = "no_contact_gradient"
 
     @property
     def message(self) -> str:
@@ -44,6 +46,15 @@ _MESSAGES = {
     Status.INFEASIBLE: (
         "The constraints cannot be met from here: this is a stationary point of their violation, beside which there "
         "may be others. Start elsewhere (guess=), lengthen the horizon, or relax the constraint."
+    ),
+    Status.AT_LIMITS: (
+        "No step along the search direction lowers the cost, and nearly all controls are at their limits. Widen the "
+        "limits, give the motion more time (horizon), or ask for less of it."
+    ),
+    Status.NO_CONTACT_GRADIENT: (
+        "The gradient is zero because nothing that the controls move touches what the cost is about, not because there "
+        "is nothing to gain. Start from controls that touch it (guess=), or give the engine foresight "
+        "(MujocoDynamics.from_path(..., foresight=0.1))."
     ),
     Status.STOPPED: "The callback asked to stop; this is the best iterate so far.",
 }

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from mjslq.contact import Contact
 from mjslq.files import atomic_write
 from mjslq.lie_groups import MOTION, ROTATION, SLIDE, TURN, Group
 from mjslq.log import IterationLog
@@ -66,6 +67,7 @@ def save(result: Result, path: str | os.PathLike[str]) -> None:
         "status": result.status.value,
         "log": [asdict(entry) for entry in result.log],
         "scene_name": None if result.scene is None else result.scene.name,
+        "contact": None if result.contact is None else asdict(result.contact),
     }
     with atomic_write(path) as stream:
         np.savez_compressed(stream, header=np.array(json.dumps(header, default=_plain)), **arrays)
@@ -119,6 +121,7 @@ def _result_of(header: dict[str, Any], arrays: dict[str, Array]) -> Result:
         upper=arrays["upper"],
         space=_unpack_space(arrays),
         scene=scene,
+        contact=Contact(**header["contact"]) if header.get("contact") else None,
     )
 
 

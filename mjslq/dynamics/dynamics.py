@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mjslq.contact import Contact
 from mjslq.dynamics.derivative_check import DerivativeCheck, check_jacobians
 from mjslq.dynamics.records import Adjoint as Adjoint
 from mjslq.dynamics.records import Curvature as Curvature
@@ -74,6 +75,10 @@ class Dynamics(ABC):
     springs, and Pinocchio ignores them: a constraint keeps to them. [rad or m]"""
     control_names: tuple[str, ...]
     output_names: tuple[str, ...]
+    contact: Contact | None = None
+    """How hard bodies touch; None where the engine knows no contacts."""
+    foresight: float = 0.0
+    """Distance from which on contacts act in derivatives alone; 0 for true derivatives. [m]"""
 
     def __getstate__(self) -> dict[str, Any]:
         """What pickle and deepcopy carry: all but locks and what is made when first asked for, memory and threads."""
@@ -144,6 +149,10 @@ class Dynamics(ABC):
 
     def limit_threads(self, number: int) -> None:  # noqa: B027 (engines without threads have nothing to do)
         """Use at most so many threads from the first rollout on: for processes that run side by side."""
+
+    def foreseeing(self, foresight: float) -> Dynamics:
+        """The same system with another `foresight`, for engines that have one."""
+        raise ValueError(f"{type(self).__name__} has no contacts to foresee")
 
     @abstractmethod
     def linearize(self, trajectory: Trajectory) -> Linearization:

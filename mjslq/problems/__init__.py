@@ -21,6 +21,8 @@ _CATALOGUE = {
     "drag_particle": "a particle pushed through quadratic drag (Sideris and Bobrow 2005, section 4.1)",
     "solo12_stand": "the quadruped Solo12 rises from a crouch and stands",
     "g1_reach": "the humanoid G1 reaches for a point, standing on both feet",
+    "solo12_jump": "the quadruped Solo12 jumps and stands again",
+    "g1_push": "the humanoid G1 is pushed and recovers its stance",
     "hopper": "a gas-actuated hopping machine that reaches a height (Sideris and Bobrow 2005, section 4.2)",
     "van_der_pol": "a Van der Pol oscillator brought to rest (Fukushima and Yamamoto 1986, section IV)",
     "cart_pole": "a pole on a cart swings up, the force limited",
@@ -35,6 +37,8 @@ _CATALOGUE = {
     "car_obstacles": "a car parks past three discs",
     "arm_obstacle": "an arm of three links swings its hand round a disc",
     "cart_train": "carts with pendulums, coupled by springs, that swing between two angles (Sforni et al., GoPRONTO)",
+    "box_push": "a finger pushes a box over a floor to a place, and turns it",
+    "quadrotor": "a quadrotor flies to a waypoint, its thrusts limited",
     "panda_reach": "a seven-joint arm that reaches for a point, on MuJoCo or Pinocchio",
 }
 

@@ -41,12 +41,14 @@ def g1_reach(
     timestep: float = 0.01,
     reach: float = 1e4,
     effort: float = 1.0,
+    contact: str = "smooth",
 ) -> Problem:
     """Bring the right hand to (`x`, `y`, `z`) [m], with x forward and y to the left, in `horizon` steps.
 
     `reach` weighs the distance at the end [1/m^2], `effort` the departure of the servos from the stance [1/rad^2 s].
+    `contact` is "smooth" or "stiff" (`mjslq.Contact`).
     """
-    dynamics = _dynamics(positive("timestep", timestep))
+    dynamics = g1(positive("timestep", timestep), contact)
     stance = standing(dynamics.model, STANCE)
     hold, target = stance[7 : 7 + dynamics.nu], np.array([finite(n, v) for n, v in zip("xyz", (x, y, z), strict=True)])
     nv = dynamics.ndx // 2
@@ -73,7 +75,8 @@ def describe(trajectory: Trajectory, target: Array) -> dict[str, str]:
     return {"hand": f"{1e3 * distance:.1f} mm from the target"}
 
 
-def _dynamics(timestep: float) -> MujocoDynamics:
+def g1(timestep: float, contact: str) -> MujocoDynamics:
+    """The robot on a floor, a position servo on each joint, a sensor on the right hand."""
     import mujoco
 
     spec: Any = on_floor("g1", FEET, timestep, 0.03)
@@ -86,4 +89,4 @@ def _dynamics(timestep: float) -> MujocoDynamics:
     spec.add_sensor(
         name="hand", type=mujoco.mjtSensor.mjSENS_FRAMEPOS, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="hand"
     )
-    return MujocoDynamics.from_spec(spec, name="g1")
+    return MujocoDynamics.from_spec(spec, name="g1", contact=contact)

@@ -12,9 +12,6 @@ from mjslq.validation import Array
 if TYPE_CHECKING:
     import mujoco
 
-SMOOTH = ((0.02, 1.0), (0.0, 0.99, 0.02))
-"""solref and solimp of a contact that gives way gently: feet sink about a centimetre, and gradients tell the way."""
-
 
 def on_floor(
     robot: str, feet: tuple[str, ...], timestep: float, armature: float, foot_radius: float | None = None
@@ -38,9 +35,6 @@ def on_floor(
         if body.name in feet and foot_radius is not None:
             ball = body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[foot_radius, 0.0, 0.0], mass=0.0)
             ball.contype, ball.conaffinity, ball.group = 0, 1, 3
-    for geom in spec.geoms:
-        if geom.contype or geom.conaffinity:
-            geom.solref, geom.solimp = [*SMOOTH[0]], [*SMOOTH[1], 0.5, 2.0]
     return spec
 
 

@@ -2,7 +2,7 @@
 
     J = h sum_n [ 1/2 |x_n - x_stand|^2_W + 1/2 r |u_n|^2 ] + 1/2 |x_N - x_stand|^2_{W_final}
 
-x = (q, v) with a free base, u the twelve joint torques [Nm]. The feet touch the floor through MuJoCo's soft contact.
+x = (q, v) with a free base, u the twelve joint torques [Nm]. The feet touch the floor through a smooth contact.
 """
 
 from __future__ import annotations
@@ -28,11 +28,19 @@ SPRING, DAMPER = 5.0, 0.1
 
 
 def solo12_stand(
-    horizon: int = 100, timestep: float = 0.01, crouch: float = 1.2, stand: float = 0.8, effort: float = 1e-2
+    horizon: int = 100,
+    timestep: float = 0.01,
+    crouch: float = 1.2,
+    stand: float = 0.8,
+    effort: float = 1e-2,
+    contact: str = "smooth",
 ) -> Problem:
-    """Rise from thighs at the angle `crouch` to `stand` [rad], knees at twice as much, in `horizon` steps [s]."""
-    dynamics = _dynamics(positive("timestep", timestep))
-    start, goal = (standing(dynamics.model, _posture(angle)) for angle in (crouch, stand))
+    """Rise from thighs at the angle `crouch` to `stand` [rad], knees at twice as much, in `horizon` steps [s].
+
+    `contact` is "smooth" or "stiff" (`mjslq.Contact`).
+    """
+    dynamics = solo12(positive("timestep", timestep), contact)
+    start, goal = (standing(dynamics.model, posture(angle)) for angle in (crouch, stand))
     nv = dynamics.ndx // 2
     positions = np.concatenate([[10.0, 10.0, 10.0, 10.0, 10.0, 10.0], np.full(nv - 6, 1.0)])
     running = np.concatenate([positions, np.full(nv, 0.01)])
@@ -42,7 +50,7 @@ def solo12_stand(
         horizon=count("horizon", horizon),
         x0=start,
         costs=[State(running, goal), State(final, goal, "terminal"), Control(positive("effort", effort))],
-        U0=_spring_legs(dynamics, start, goal, horizon),
+        U0=spring_legs(dynamics, start, goal, horizon),
         # Contacts that open and close leave kinks in the cost; near its end the search only shuffles them.
         options={"tol_direction": 1e-3},
         describe=partial(describe, height=goal[2]),
@@ -55,7 +63,7 @@ def describe(trajectory: Trajectory, height: float) -> dict[str, str]:
     return {"base": f"at {z:.4f} m, {1e3 * (z - height):+.1f} mm from where it is to be, speed {speed:.3f} m/s"}
 
 
-def _spring_legs(dynamics: MujocoDynamics, start: Array, goal: Array, N: int) -> Array:
+def spring_legs(dynamics: MujocoDynamics, start: Array, goal: Array, N: int) -> Array:
     """Torques of legs that springs and dampers pull into the posture of `goal`: a start that stays on its feet."""
     nv, joints = dynamics.ndx // 2, np.arange(dynamics.nu)
     K = np.zeros((N, dynamics.nu, dynamics.ndx))
@@ -64,13 +72,15 @@ def _spring_legs(dynamics: MujocoDynamics, start: Array, goal: Array, N: int) ->
     return dynamics.rollouts(start[None], np.zeros((1, N, dynamics.nu)), law)[0].U
 
 
-def _posture(angle: float) -> dict[str, float]:
+def posture(angle: float) -> dict[str, float]:
+    """Angles of the joints with thighs at `angle` [rad], knees bent by twice as much, hind legs mirrored."""
     front = {f"{leg}_HFE": angle for leg in LEGS[:2]} | {f"{leg}_KFE": -2.0 * angle for leg in LEGS[:2]}
     hind = {f"{leg}_HFE": -angle for leg in LEGS[2:]} | {f"{leg}_KFE": 2.0 * angle for leg in LEGS[2:]}
     return front | hind
 
 
-def _dynamics(timestep: float) -> MujocoDynamics:
+def solo12(timestep: float, contact: str) -> MujocoDynamics:
+    """The robot on a floor, a motor on each joint."""
     import mujoco
 
     spec: Any = on_floor("solo12", tuple(f"{leg}_FOOT" for leg in LEGS), timestep, 0.01, FOOT_RADIUS)
@@ -79,4 +89,4 @@ def _dynamics(timestep: float) -> MujocoDynamics:
             motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             motor.gainprm[0] = 1.0
             joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
-    return MujocoDynamics.from_spec(spec, name="solo12")
+    return MujocoDynamics.from_spec(spec, name="solo12", contact=contact)

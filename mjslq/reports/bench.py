@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 
 from mjslq import problems
+from mjslq.cores import usable_cores
 from mjslq.costs import Control, State
 from mjslq.dynamics.derivative_check import fine_reference
 from mjslq.dynamics.dynamics import Dynamics
 from mjslq.dynamics.mujoco import MujocoDynamics
-from mjslq.dynamics.mujoco.engine import usable_cores
 from mjslq.lq.box import solve_in_box
 from mjslq.lq.riccati import solve as sweep
 from mjslq.optimize import solve

@@ -30,7 +30,7 @@ class Case(NamedTuple):
 
     problem: str
     parameters: dict[str, Any] = {}  # noqa: RUF012 (never written to)
-    states: float = 0.05
+    states: float | Array = 0.05
     """s_x."""
     controls: float = 0.1
     """s_u."""

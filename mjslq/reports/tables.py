@@ -73,10 +73,19 @@ def print_summary(result: Result, problem: Problem) -> None:
         lines.add_row("limits", limits)
     if result.violations:
         lines.add_row("constraints", _in_force(result))
+    if touching := contacts(result):
+        lines.add_row("contact", touching)
     if problem.describe is not None and not result.trajectory.diverged:
         for name, text in problem.describe(result.trajectory).items():
             lines.add_row(name, text)
     console().print(lines)
+
+
+def contacts(result: Result) -> str:
+    """With which contact it was solved, and how deep bodies sank into each other; empty where nothing touches."""
+    if result.contact is None or (result.contact.kind == "model" and not result.penetration):
+        return ""
+    return f"{result.contact}, largest penetration {1e3 * result.penetration:.1f} mm"
 
 
 def _in_force(result: Result) -> str:
@@ -96,6 +105,8 @@ def as_dict(result: Result) -> dict[str, Any]:
         "seconds", "compile_seconds", "options", "parameters",
     )  # fmt: skip
     found = {"status": result.status.value} | {name: getattr(result, name) for name in names}
+    if contacts(result):
+        found["contact"], found["penetration"] = str(result.contact), result.penetration
     found["limits"] = [
         {"control": entry.name, "limit": entry.limit, "side": entry.side, "spans": entry.spans}
         for entry in at_limits(result)

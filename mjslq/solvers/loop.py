@@ -20,6 +20,7 @@ import numpy as np
 from mjslq.log import IterationLog
 from mjslq.lq.problem import NotPositiveDefinite
 from mjslq.options import Stopping
+from mjslq.solvers.endings import told_apart
 from mjslq.solvers.interrupts import Interrupts
 from mjslq.solvers.iterate import Direction, Iterate
 from mjslq.solvers.merit import CostAndGaps, Merit
@@ -68,6 +69,8 @@ def descend(start: Iterate, method: Method, stopping: Stopping, monitor: Monitor
         _fail(outcome, error)
     interrupts.hold()
     _finish(outcome, method)
+    if np.isfinite(outcome.gradient_norm):
+        outcome.status = told_apart(outcome.status, outcome.iterate)
     outcome.remark = " ".join(part for part in (outcome.remark, method.remark()) if part)
     return outcome
 

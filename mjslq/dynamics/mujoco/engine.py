@@ -16,7 +16,6 @@ same ones as a plain loop over mj_step on a new mjData.
 from __future__ import annotations
 
 import copy
-import os
 import threading
 from collections.abc import Callable
 from functools import cached_property, partial
@@ -26,11 +25,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mjslq.contact import Contact
+from mjslq.cores import usable_cores
 from mjslq.dynamics.dynamics import Curvature, Dynamics, Feedback, Linearization, Output
+from mjslq.dynamics.mujoco import contacts
+from mjslq.dynamics.mujoco.keyframes import Keyframes
 from mjslq.dynamics.records import curvature_of
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, as_array, choose, count, positive
+from mjslq.validation import Array, as_array, choose, count, nonnegative, positive
 
 if TYPE_CHECKING:
     import mujoco
@@ -46,7 +49,7 @@ SMOOTH_PRICE, CONSTRAINED_PRICE = 2.0, 10.0
 """Linearizations that second derivatives in closed form cost, about: of smooth models, of those with contacts, ..."""
 
 
-class MujocoDynamics(Dynamics):
+class MujocoDynamics(Keyframes, Dynamics):
     """A MuJoCo model; make one with `from_path`, `from_xml`, `from_spec` or `from_model`.
 
     All four take the same options:
@@ -69,8 +72,12 @@ class MujocoDynamics(Dynamics):
         Size of the differences where some are taken, and whether they are taken to both sides (twice the time, far
         smaller error: about 1e-7 in contact, 1e-9 without); with RK4 they always are. To both sides, "transition" takes
         eps / 100 where a kink is nearer than eps.
+    contact
+        "model", "smooth", "stiff" or a `mjslq.Contact`: parameters of all contacts in place of the model's own.
+    foresight
+        Distance from which on bodies feel each other in derivatives, and in these alone; see `contacts`. [m]
 
-    They raise ValueError when the model cannot be read, or is not supported; the sentence says why and what helps.
+    They raise ValueError when the model cannot be read, or is not supported.
     """
 
     def __init__(
@@ -84,6 +91,8 @@ class MujocoDynamics(Dynamics):
         threads: int | None = None,
         eps: float = 1e-6,
         centered: bool = True,
+        contact: str | Contact = "model",
+        foresight: float = 0.0,
         name: str | None = None,
     ):
         from mjslq.dynamics.mujoco import names
@@ -98,6 +107,10 @@ class MujocoDynamics(Dynamics):
             self.model.opt.timestep = positive("timestep", timestep)
         if integrator is not None:
             self.model.opt.integrator = integrator_named(integrator)
+        self.contact: Contact = Contact.of(contact)
+        """How hard bodies touch."""
+        self._given, self.model = self.model, contacts.with_contact(self.model, self.contact)
+        self.foresight = nonnegative("foresight", foresight)
         self.nx, self.ndx, self.nv = model.nq + model.nv + model.na, 2 * model.nv + model.na, model.nv
         self.nu, self.ny = model.nu, model.nsensordata
         self.substeps = count("substeps", substeps)
@@ -210,22 +223,6 @@ class MujocoDynamics(Dynamics):
         return reset_controls(self.model)
 
     @property
-    def keyframe_names(self) -> tuple[str, ...]:
-        """Names of the model's keyframes."""
-        return tuple(self.model.key(i).name or f"key{i}" for i in range(self.model.nkey))
-
-    def keyframe(self, name: str) -> Array:
-        """Look up the state of a keyframe. Shape (nx,).  Raises ValueError, which lists the names there are."""
-        i = self._keyframe_index(name)
-        return self.space.normalized(
-            np.concatenate([self.model.key_qpos[i], self.model.key_qvel[i], self.model.key_act[i]])
-        )
-
-    def keyframe_control(self, name: str) -> Array:
-        """Look up the controls of a keyframe. Shape (nu,).  Raises ValueError, which lists the names there are."""
-        return np.array(self.model.key_ctrl[self._keyframe_index(name)])
-
-    @property
     def outputs(self) -> dict[str, Output]:
         """Sensors by name."""
         from mjslq.dynamics.mujoco import names
@@ -251,9 +248,8 @@ class MujocoDynamics(Dynamics):
 
         The state is NaN when MuJoCo warns of bad numbers or full buffers.
         """
-        x, u = as_array("x", x, (self.nx,)), as_array("u", u, (self.nu,))
         with self._lock:
-            return self.simulator.step(x, u, n)
+            return self.simulator.step(as_array("x", x, (self.nx,)), as_array("u", u, (self.nu,)), n)
 
     def step_each(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
         """One step from each knot, on several threads; see `Dynamics.step_each`."""
@@ -265,6 +261,8 @@ class MujocoDynamics(Dynamics):
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step of `trajectory`, and of the outputs at every knot."""
         self.check_trajectory(trajectory)
+        if self.foresight:
+            return contacts.foreseen(self._foreseeing, trajectory)
         with self._lock:
             return _JACOBIANS[self.jacobian](self, trajectory)
 
@@ -343,6 +341,8 @@ class MujocoDynamics(Dynamics):
         parts = report(self.model, differences, self.jacobian)
         if self.substeps > 1:
             parts.insert(1, (f"{self.substeps} substeps", f"of {self.model.opt.timestep:g} s, the control held"))
+        if self.contact.kind != "model":
+            parts.insert(1, ("contacts", str(self.contact)))
         parts += [("not to be simulated", fault) for fault in self.faults()]
         return parts
 
@@ -350,7 +350,7 @@ class MujocoDynamics(Dynamics):
     def _scene(self) -> Scene:
         import mujoco
 
-        drawn = copy.copy(self.model)
+        drawn = copy.copy(self._given)
         drawn.bvh_aabb[:] = 0.0  # half of a model with meshes, which only collisions read; zeros take no room in files
         data = np.empty(mujoco.mj_sizeModel(drawn), np.uint8)
         mujoco.mj_saveModel(drawn, None, data)
@@ -362,6 +362,19 @@ class MujocoDynamics(Dynamics):
         from mjslq.dynamics.mujoco.simulator import Simulator
 
         return Simulator(self.model, self._threads, self.substeps)
+
+    def foreseeing(self, foresight: float) -> MujocoDynamics:
+        """The same system whose derivatives foresee contacts from another distance [m]; 0 for the true derivatives."""
+        other = copy.copy(self)
+        other.foresight = nonnegative("foresight", foresight)
+        return other
+
+    @cached_property
+    def _foreseeing(self) -> MujocoDynamics:
+        return MujocoDynamics(
+            contacts.foreseeing(self.model, self.foresight), substeps=self.substeps, jacobian=self.jacobian,
+            threads=self._threads, eps=self._eps, centered=self._centered,
+        )  # fmt: skip
 
     @cached_property
     def _inverse(self) -> InverseJacobians:
@@ -408,18 +421,8 @@ class MujocoDynamics(Dynamics):
             return centred_transition(self.simulator, X, U, S, self._eps)
         return self.simulator.transition(X, U, self._eps, S)
 
-    def _keyframe_index(self, name: str) -> int:
-        return self.keyframe_names.index(choose("keyframe", name, self.keyframe_names))
-
 
 _JACOBIANS: dict[str, Callable[[MujocoDynamics, Trajectory], Linearization]] = {
     "inverse": MujocoDynamics._linearize_inverse,
     "transition": MujocoDynamics._linearize_transition,
 }
-
-
-def usable_cores() -> int:
-    """Count the processor cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return max(1, len(os.sched_getaffinity(0)))
-    return os.cpu_count() or 1
