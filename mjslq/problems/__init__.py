@@ -34,6 +34,7 @@ _CATALOGUE = {
     "quadrotor_obstacles": "a planar quadrotor flies past two discs",
     "car_obstacles": "a car parks past three discs",
     "arm_obstacle": "an arm of three links swings its hand round a disc",
+    "panda_obstacle": "a seven-joint arm reaches round a ball, within the limits of joints and motors",
     "panda_reach": "a seven-joint arm that reaches for a point, on MuJoCo or Pinocchio",
 }
 
