@@ -17,8 +17,8 @@ from mjslq.problem import Problem
 from mjslq.result import Result
 from mjslq.solvers.auto import Auto
 from mjslq.solvers.constrained import Constrained
-from mjslq.solvers.gopronto import Gopronto
 from mjslq.solvers.foresight import descend_with_foresight
+from mjslq.solvers.gopronto import Gopronto
 from mjslq.solvers.gradient import Gradient
 from mjslq.solvers.interrupts import Interrupts
 from mjslq.solvers.iterate import Iterate

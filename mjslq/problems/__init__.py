@@ -39,6 +39,7 @@ _CATALOGUE = {
     "cart_train": "carts with pendulums, coupled by springs, that swing between two angles (Sforni et al., GoPRONTO)",
     "box_push": "a finger pushes a box over a floor to a place, and turns it",
     "quadrotor": "a quadrotor flies to a waypoint, its thrusts limited",
+    "panda_obstacle": "a seven-joint arm reaches round a ball, within the limits of joints and motors",
     "panda_reach": "a seven-joint arm that reaches for a point, on MuJoCo or Pinocchio",
 }
 

@@ -21,6 +21,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from mjslq.bounds import Bounds
+from mjslq.constraints import State
 from mjslq.costs import Tracking
 from mjslq.dynamics.dynamics import Dynamics
 from mjslq.dynamics.function import FunctionDynamics, Integrator
@@ -28,7 +30,7 @@ from mjslq.problem import Problem
 from mjslq.problems.assets import load_asset
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
-from mjslq.validation import choose, count, finite, positive
+from mjslq.validation import choose, count, finite, nonnegative, positive
 
 if TYPE_CHECKING:
     import mujoco
@@ -51,12 +53,15 @@ def hopper(
     r: float = 1.0,
     engine: str = "mujoco",
     integrator: Integrator = "semi-implicit-euler",
+    stroke: float = 0.0,
+    flow: float = 0.0,
 ) -> Problem:
     """Reach `height` [in] at time `duration` [s] with little speed and little gas.
 
     `stiffness` is k/m [1/s^2], `alpha` the smoothing length [in], `gravity` in [in/s^2]; q_final, q, r weigh the
     height reached, the piston's stroke and the gas. `engine` is "mujoco" (state y, y_p, and their velocities) or
-    "function" (state y, y_p, ydot; there `integrator` may also be "euler").
+    "function" (state y, y_p, ydot; there `integrator` may also be "euler"). Not of the paper: the piston's travel
+    |y_p| within `stroke` [in], the flow of gas |u| within `flow` [in/s]; 0 for none.
     """
     N, dt = count("horizon", horizon), positive("duration", duration) / horizon
     for name, value in (("stiffness", stiffness), ("alpha", alpha), ("gravity", gravity)):
@@ -74,11 +79,15 @@ def hopper(
     Q[1] = dt * positive("q", q)
     Q_final[0], Q_final[2] = positive("q_final", q_final), 2.0  # (66) has no 1/2 before ydot^2
     target[0] = finite("height", height)
+    most, far = nonnegative("flow", flow), np.full(dynamics.nx, np.inf)
+    far[1] = nonnegative("stroke", stroke) or np.inf
     return Problem(
         dynamics=dynamics,
         horizon=N,
         x0=np.zeros(dynamics.nx),
         costs=[Tracking(Q, dt * positive("r", r), Q_final, x_target=target)],
+        constraints=[State(-far, far, name="stroke")] if stroke else [],
+        bounds=Bounds(u=(-most, most)) if flow else None,
         # Gauss-Newton ends slowly here (the piston's stroke is a large residual); four digits of the controls do.
         # Feedback keeps the instants of touch-down where they are while the controls change.
         options={"tol_direction": 1e-4, "step": "closed-loop"},
@@ -151,6 +160,7 @@ def describe(trajectory: Trajectory, height: float) -> dict[str, str]:
     return {
         "height": f"{y:.3f} in of {height:g} in ({100.0 * (y / height - 1.0):+.2f} %), speed {speed:+.2f} in/s",
         "phases": ", ".join(phases(trajectory.X)),
+        "piston": f"{np.abs(trajectory.X[:, 1]).max():.4f} in at most, flow {np.abs(trajectory.U).max():.3f} in/s",
     }
 
 

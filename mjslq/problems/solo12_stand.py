@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from mjslq.constraints import Sensor
 from mjslq.costs import Control, State
 from mjslq.dynamics.dynamics import Feedback
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.problem import Problem
 from mjslq.problems.legged import on_floor, standing
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, count, positive
+from mjslq.validation import Array, count, nonnegative, positive
 
 LEGS = ("FL", "FR", "HL", "HR")
 FOOT_RADIUS = 0.0155
@@ -34,12 +35,16 @@ def solo12_stand(
     stand: float = 0.8,
     effort: float = 1e-2,
     contact: str = "smooth",
+    torque: float = 0.0,
+    slip: float = 0.0,
 ) -> Problem:
     """Rise from thighs at the angle `crouch` to `stand` [rad], knees at twice as much, in `horizon` steps [s].
 
-    `contact` is "smooth" or "stiff" (`mjslq.Contact`).
+    `contact` is "smooth" or "stiff" (`mjslq.Contact`). `torque` limits the motors [Nm], `slip` how far a foot may
+    slide from where it stands, along x and along y [m]: so torques are limited to what friction holds. 0 for none.
     """
-    dynamics = solo12(positive("timestep", timestep), contact)
+    limit, feet = nonnegative("torque", torque), nonnegative("slip", slip) > 0.0
+    dynamics = solo12(positive("timestep", timestep), contact, limit, feet)
     start, goal = (standing(dynamics.model, posture(angle)) for angle in (crouch, stand))
     nv = dynamics.ndx // 2
     positions = np.concatenate([[10.0, 10.0, 10.0, 10.0, 10.0, 10.0], np.full(nv - 6, 1.0)])
@@ -50,6 +55,7 @@ def solo12_stand(
         horizon=count("horizon", horizon),
         x0=start,
         costs=[State(running, goal), State(final, goal, "terminal"), Control(positive("effort", effort))],
+        constraints=_on_their_spots(dynamics, start, slip) if slip else [],
         U0=spring_legs(dynamics, start, goal, horizon),
         # Contacts that open and close leave kinks in the cost; near its end the search only shuffles them.
         options={"tol_direction": 1e-3},
@@ -60,7 +66,21 @@ def solo12_stand(
 def describe(trajectory: Trajectory, height: float) -> dict[str, str]:
     """How high the base has come."""
     z, speed = trajectory.X[-1, 2], float(np.linalg.norm(trajectory.X[-1, 19:22]))
-    return {"base": f"at {z:.4f} m, {1e3 * (z - height):+.1f} mm from where it is to be, speed {speed:.3f} m/s"}
+    torque = float(np.abs(trajectory.U).max())
+    said = {"torque": f"{torque:.3f} Nm at most"}
+    if trajectory.Y.shape[1]:
+        slid = np.abs(trajectory.Y - trajectory.Y[0]).reshape(-1, 4, 3)[:, :, :2].max()
+        said["feet"] = f"slide {1e3 * slid:.2f} mm at most"
+    return said | {"base": f"at {z:.4f} m, {1e3 * (z - height):+.1f} mm from where it is to be, speed {speed:.3f} m/s"}
+
+
+def _on_their_spots(dynamics: MujocoDynamics, start: Array, slip: float) -> list[Sensor]:
+    """Limits of the feet's places on the floor, about those at the start."""
+    Y, feet = dynamics.rollout(start, np.zeros((1, dynamics.nu))).Y[0].reshape(-1, 3), []
+    for leg, place in zip(LEGS, Y, strict=True):
+        reach = np.array([slip, slip, np.inf])
+        feet.append(Sensor(f"{leg}_foot", place - reach, place + reach))
+    return feet
 
 
 def spring_legs(dynamics: MujocoDynamics, start: Array, goal: Array, N: int) -> Array:
@@ -79,8 +99,8 @@ def posture(angle: float) -> dict[str, float]:
     return front | hind
 
 
-def solo12(timestep: float, contact: str) -> MujocoDynamics:
-    """The robot on a floor, a motor on each joint."""
+def solo12(timestep: float, contact: str, torque: float = 0.0, feet: bool = False) -> MujocoDynamics:
+    """The robot on a floor, a motor on each joint, limited if there is a `torque`; sensors of the places of its feet."""
     import mujoco
 
     spec: Any = on_floor("solo12", tuple(f"{leg}_FOOT" for leg in LEGS), timestep, 0.01, FOOT_RADIUS)
@@ -89,4 +109,9 @@ def solo12(timestep: float, contact: str) -> MujocoDynamics:
             motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             motor.gainprm[0] = 1.0
             joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+            if torque:
+                motor.ctrllimited, motor.ctrlrange = True, [-torque, torque]
+    for leg in LEGS if feet else ():
+        kind, body = mujoco.mjtSensor.mjSENS_FRAMEPOS, mujoco.mjtObj.mjOBJ_XBODY
+        spec.add_sensor(name=f"{leg}_foot", type=kind, objtype=body, objname=f"{leg}_FOOT")
     return MujocoDynamics.from_spec(spec, name="solo12", contact=contact)
