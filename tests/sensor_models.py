@@ -19,12 +19,13 @@ ANALYTIC = """
   <frameangacc objtype="geom" objname="finger"/>
   <subtreecom body="arm"/><subtreelinvel body="arm"/><subtreeangmom body="world"/>
   <contact geom1="finger" data="found force torque dist pos normal tangent linvel angvel"/><e_kinetic/>
+  <rangefinder site="tip"/>
 """
 """Sensors that have a derivative in closed form."""
 CONSTANT = '<insidesite site="zone" objtype="body" objname="hand"/><clock/><user dim="2"/>'
 """Sensors whose derivative is zero."""
 OWN_STAGE = """
-  <rangefinder site="tip"/><camprojection site="tip" camera="eye"/><distance geom1="finger" geom2="floor" cutoff="1"/>
+  <camprojection site="tip" camera="eye"/><distance geom1="finger" geom2="floor" cutoff="1"/>
   <normal geom1="finger" geom2="puck" cutoff="5"/><fromto geom1="finger" geom2="puck" cutoff="5"/><e_potential/>
   <tactile geom="pad" mesh="plate"/>
 """

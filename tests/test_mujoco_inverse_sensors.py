@@ -247,9 +247,9 @@ def test_control_at_its_limit_has_the_inner_derivative():
 def test_the_report_says_what_serves_each_sensor():
     rows = [row for row in dynamics_of(sensor_models.laboratory("Euler")).support_report() if " sensors" in row[0]]
     (analytic, by), (constant, _), (differenced, _) = rows
-    assert analytic == "38 sensors" and "analytic" in by
+    assert analytic == "39 sensors" and "analytic" in by
     assert constant == "3 sensors: clock, insidesite, user"
-    assert "rangefinder" in differenced and "accelerometer" not in differenced
+    assert "camprojection" in differenced and "accelerometer" not in differenced
 
 
 @given(st.data())

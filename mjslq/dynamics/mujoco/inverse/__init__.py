@@ -24,6 +24,7 @@ readings/           sensors
     motions, frames     of positions, velocities, forces of actuators
     accelerations, limits    of accelerations, of limits
     pressures, contact_sensors    of what contacts exert, and of contacts themselves
+    rays                of rangefinders
     stages, outputs     by differences of their own stage; which sensor is served how
 
 curvature/          second derivatives, contracted with costates

@@ -35,6 +35,7 @@ from mjslq.dynamics.mujoco.inverse.readings.contact_sensors import write_contact
 from mjslq.dynamics.mujoco.inverse.readings.frames import clear_rows, is_below, moves, pose
 from mjslq.dynamics.mujoco.inverse.readings.limits import write_limit
 from mjslq.dynamics.mujoco.inverse.readings.pressures import add_pressures
+from mjslq.dynamics.mujoco.inverse.readings.rays import write_range
 from mjslq.dynamics.mujoco.inverse.readings.stages import difference_stages
 from mjslq.dynamics.mujoco.inverse.rigid import inward, outward
 from mjslq.dynamics.mujoco.inverse.rows.constraints import evaluate_rows
@@ -87,6 +88,8 @@ def write_motions(job, C, D):
             _write_frame(job, s, kind, row, C, D)
         elif _COM <= kind <= _SUBTREE_TURN:
             _write_subtree(job, s, kind, row, C, D)
+        elif kind == columns.RANGE:
+            write_range(job, s, row, C, D)
 
 
 @compiled

@@ -29,6 +29,7 @@ _SENSOR, _OBJECT, _DATA = whole(mujoco.mjtSensor), whole(mujoco.mjtObj), whole(m
 _STAGE, _ROW = whole(mujoco.mjtStage), whole(mujoco.mjtConstraint)
 TYPES = {int(kind): name.removeprefix("mjSENS_").lower() for name, kind in mujoco.mjtSensor.__members__.items()}
 """Names of the types of sensors."""
+_DISTANCE_ALONE = 1 << int(mujoco.mjtRayDataField.mjRAYDATA_DIST)
 _CONSTANT = (_SENSOR.mjSENS_CLOCK, _SENSOR.mjSENS_INSIDESITE, _SENSOR.mjSENS_USER)
 _ON_DOFS = {
     _SENSOR.mjSENS_JOINTPOS: columns.JOINT_POS,
@@ -100,6 +101,9 @@ def sensor_kind(model: mujoco.MjModel, s: int, rest: UnmodelledForces) -> int:
         return columns.CONSTANT  # an enclosed insidesite is a distance
     if kind == _SENSOR.mjSENS_E_KINETIC:
         return columns.BY_DIFFERENCES if _has_spatial_tendon(model) else columns.KINETIC_ENERGY
+    if kind == _SENSOR.mjSENS_RANGEFINDER:
+        plain = model.sensor_objtype[s] == _OBJECT.mjOBJ_SITE and model.sensor_intprm[s, 0] == _DISTANCE_ALONE
+        return columns.RANGE if plain else columns.BY_DIFFERENCES
     if kind == _SENSOR.mjSENS_CONTACT:
         return columns.CONTACT if _is_plain_contact(model, s) else columns.BY_DIFFERENCES
     for table, is_known in (

@@ -22,6 +22,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, cross3, dot3, inlined, row3, sub3
+from mjslq.dynamics.mujoco.inverse.table.columns import CYLINDER, ELLIPSOID
 from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, integers, matrix, vector
 
 MOST = int(mujoco.mjMAXCONPAIR)
@@ -29,6 +30,8 @@ MOST = int(mujoco.mjMAXCONPAIR)
 _DIST, _POS, _NORMAL, _PRECONTACT = 0, 1, 4, 10
 WIDTH = 0.1
 """Width of differences of positions alone, in units of the job's eps: no solver's noise is in them, kinks are near."""
+_COARSER = 10.0
+"""Width of those of contacts that MuJoCo finds by iteration, in units of that: its tolerance is noise in them."""
 _REACH, _TURN = 1e3, 1e4
 """How far a contact, and its normal, may move and still be the same, in units of the width."""
 
@@ -81,7 +84,7 @@ def fill_by_differences(job, first):
     function = entry_address(job.collision_functions + 8 * (kinds[geoms[0]] * job.geom_types + kinds[geoms[1]]))
     margin = vector(first + job.at_contact_includemargin, 1)[0] + _gap(job, geoms)
     found = matrix(job.found, 2 * MOST, _PRECONTACT)
-    eps = WIDTH * job.eps
+    eps = _width(job, geoms)
     for k in range(6):
         plus, minus = 0, 0
         for side in range(2 if job.centered else 1):
@@ -93,7 +96,7 @@ def fill_by_differences(job, first):
             plus, minus = (plus, touching) if side else (touching, minus)
         for c in range(count):
             contact, table = first + c * size, matrix(job.tables + 8 * 42 * c, 6, 7)
-            _difference(job, contact, found[:plus], found[MOST : MOST + minus], table[k])
+            _difference(job, contact, eps, found[:plus], found[MOST : MOST + minus], table[k])
             if _is_missing(table[k]):
                 _freeze(job, contact, k, pivot, table[k])
     for k in range(9):
@@ -133,12 +136,20 @@ def _move(k, eps, pivot, place, pose, xpos, xmat):
         xmat[3 * j + c] = sine * pose[3 * i + c] + cosine * pose[3 * j + c]
 
 
+@inlined
+def _width(job, geoms):
+    """Width of the differences for a pair of geoms."""
+    kinds = integers(job.geom_kind, job.ngeom)
+    one, other = kinds[geoms[0]], kinds[geoms[1]]
+    round_ = one in (ELLIPSOID, CYLINDER) or other in (ELLIPSOID, CYLINDER)
+    return WIDTH * job.eps * (_COARSER if round_ else 1.0)
+
+
 @compiled
-def _difference(job, contact, plus, minus, row):
+def _difference(job, contact, eps, plus, minus, row):
     """Write a row of a contact's table: (ddist, dp, dn), or nan where the contact is found on neither side."""
     dist, pos = vector(contact + job.at_contact_dist, 1), vector(contact + job.at_contact_pos, 3)
     frame = vector(contact + job.at_contact_frame, 9)
-    eps = WIDTH * job.eps
     p, m = _nearest(plus, pos, frame, eps), _nearest(minus, pos, frame, eps)
     apart = 1.0 / ((eps if p >= 0 else 0.0) + (eps if m >= 0 else 0.0))
     for c in range(7):
