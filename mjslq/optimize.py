@@ -52,6 +52,8 @@ class MethodInfo:
     """Whether it takes constraints beside the limits of the controls."""
     takes_equalities: bool = True
     """Whether these may be equalities."""
+    takes_both: bool = False
+    """Whether it is made for problems without constraints as well, if it takes some."""
 
     @property
     def options(self) -> dict[str, Any]:
@@ -86,12 +88,12 @@ METHODS = {
     "pronto": MethodInfo(
         Pronto, "Newton over projected curves (Hauser): LQ directions, steps under a tracking controller",
         "first derivatives, second ones for order='newton'", RECORDS["pronto"], takes_constraints=True,
-        takes_equalities=False,
+        takes_equalities=False, takes_both=True,
     ),
     "gopronto": MethodInfo(
         Gopronto, "first-order steps under a tracking controller, no LQ problem in an iteration",
         "first derivatives, a few steps at a time", RECORDS["gopronto"], defaults={"max_iterations": 1000},
-        takes_constraints=True, takes_equalities=False,
+        takes_constraints=True, takes_equalities=False, takes_both=True,
     ),
 }  # fmt: skip
 ALIASES = {"ilqr": "slq"}
@@ -196,6 +198,8 @@ def solve(
     settings = dict(chosen.defaults) | _settings(problem, method, preset, asked)
     stopping = _stopping(settings)
     record = chosen.record(**settings)
+    solver = chosen.make(record)
+    solver.check(problem)
     start = starts.read(problem, guess, U0, X0)
     if start.X is not None and problem.bound_constraints:
         raise ValueError("a problem with constraints takes no state guess X0; give controls, U0, or a policy, guess")
@@ -210,7 +214,7 @@ def solve(
             here = Iterate(problem, problem.dynamics.rollouts(np.asarray(problem.x0)[None], start.U[None])[0])
         else:
             here = Iterate.guess(problem, start.X, start.U)
-        outcome = descend(here, chosen.make(record), stopping, monitor, interrupts)
+        outcome = descend(here, solver, stopping, monitor, interrupts)
         remarks = [start.remark, routed, outcome.remark]
         result = _result(outcome, monitor, problem, method, asdict(stopping) | asdict(record), remarks)
     if verbose:

@@ -93,8 +93,10 @@ class BoundResidual(ABC):
 
     @abstractmethod
     def pull_back(self, trajectory: Trajectory, weights: Array, into: Slopes) -> None:
-        """Add dr/dx'w, dr/du'w and dr/dy'w at each knot to `into`, for weights (k, m): for gradients without Jacobians
-        of the steps."""
+        """Add dr/dx'w, dr/du'w and dr/dy'w at each knot to `into`, for weights (k, m).
+
+        For gradients without Jacobians of the steps.
+        """
 
     def curvature(self, trajectory: Trajectory, weights: Array, into: Expansion, output_weights: Array) -> None:
         """Add sum_i w_i d2r_i/d(x, u)2 at each knot: to `into`, or for outputs dr/dy'w to `output_weights` (N + 1, ny).

@@ -60,7 +60,7 @@ def closed_loop_adjoint(A, B, K, sides, costates, gradient, held):
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def subtract_feedback(n, K, sides, gradient, held, costate):
-    """costate -= K_n'w_n, the controls that a limit holds left out."""
+    """Costate -= K_n'w_n, the controls that a limit holds left out."""
     for i in range(gradient.shape[1]):
         w = gradient[n, i]
         if sides.shape[0] > 0:

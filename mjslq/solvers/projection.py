@@ -95,17 +95,17 @@ class CurveIterate(Iterate):
 
     @property
     def costates(self) -> Array:
-        """lambda of (16). Shape (N + 1, ndx)."""
+        """Lambda of (16). Shape (N + 1, ndx)."""
         return self.along.costates
 
     @property
     def gradient(self) -> Array:
-        """w of (16): by the feedforward mu. Shape (N, nu)."""
+        """W of (16): by the feedforward mu. Shape (N, nu)."""
         return self.along.gradient
 
     @cached_property
     def projected_gradient(self) -> Array:
-        """w without the controls that push against a limit. Shape (N, nu)."""
+        """W without the controls that push against a limit. Shape (N, nu)."""
         return np.where(self.along.held, 0.0, self.along.gradient)
 
     @cached_property
@@ -136,7 +136,7 @@ class CurveIterate(Iterate):
         return float(np.vdot(self.gradient, direction.k))
 
     def feedforward(self, change: Curve) -> Array:
-        """mu + K alpha: the change of a curve as one of the controls under feedback. Shape (N, nu)."""
+        """Mu + K alpha: the change of a curve as one of the controls under feedback. Shape (N, nu)."""
         return change.mu if self.gains is None else change.mu + np.einsum("nij,nj->ni", self.gains, change.alpha[:-1])
 
 
@@ -164,6 +164,7 @@ def _keeps(here: CurveIterate, there: CurveIterate) -> bool:
     if there.trajectory.diverged or not problem.bound_constraints:
         return True
     return all(
-        constraint.violation(there.trajectory).max(initial=0.0) <= constraint.violation(here.trajectory).max(initial=0.0)
+        constraint.violation(there.trajectory).max(initial=0.0)
+        <= constraint.violation(here.trajectory).max(initial=0.0)
         for constraint in problem.bound_constraints
     )
