@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from mjslq import starts
 from mjslq.compiling import CompileClock
 from mjslq.log import IterationLog
-from mjslq.options import COMMON, RECORDS, SquareRootSweepOptions, Stopping, check_tolerance, names
+from mjslq.options import COMMON, RECORDS, Stopping, check_tolerance, names
 from mjslq.problem import Problem
 from mjslq.result import Result
 from mjslq.solvers.auto import Auto
@@ -28,7 +28,7 @@ from mjslq.solvers.monitor import Monitor
 from mjslq.solvers.newton import Newton
 from mjslq.solvers.pronto import Pronto
 from mjslq.solvers.slq import SLQ
-from mjslq.solvers.square_root_sweep import SquareRootSweep, check_options
+from mjslq.solvers.square_root_sweep import SquareRootSweep
 from mjslq.solvers.trust_region import TrustRegion
 from mjslq.validation import choose
 
@@ -55,6 +55,8 @@ class MethodInfo:
     """Whether it takes initial states that are free (`constraints.Initial`)."""
     takes_equalities: bool = True
     """Whether these may be equalities."""
+    takes_both: bool = False
+    """Whether it is made for problems without constraints as well, if it takes some."""
 
     @property
     def options(self) -> dict[str, Any]:
@@ -94,12 +96,12 @@ METHODS = {
     "pronto": MethodInfo(
         Pronto, "Newton over projected curves (Hauser): LQ directions, steps under a tracking controller",
         "first derivatives, second ones for order='newton'", RECORDS["pronto"], takes_constraints=True,
-        takes_equalities=False,
+        takes_equalities=False, takes_both=True,
     ),
     "gopronto": MethodInfo(
         Gopronto, "first-order steps under a tracking controller, no LQ problem in an iteration",
         "first derivatives, a few steps at a time", RECORDS["gopronto"], defaults={"max_iterations": 1000},
-        takes_constraints=True, takes_equalities=False,
+        takes_constraints=True, takes_equalities=False, takes_both=True,
     ),
 }  # fmt: skip
 ALIASES = {"ilqr": "slq"}
@@ -207,8 +209,7 @@ def solve(
     settings = dict(chosen.defaults) | _settings(problem, method, preset, asked)
     stopping = _stopping(settings)
     record = chosen.record(**settings)
-    if isinstance(record, SquareRootSweepOptions):
-        check_options(record, problem)
+    chosen.make(record).check(problem)
     start = starts.read(problem, guess, U0, X0)
     if start.X is not None and problem.bound_constraints:
         raise ValueError("a problem with constraints takes no state guess X0; give controls, U0, or a policy, guess")

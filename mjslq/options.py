@@ -264,7 +264,7 @@ class GoprontoOptions(CurveOptions):
     step_rule: str = "interpolated"
     """"armijo": halving; "interpolated": halving, then the minimum of a parabola; "fixed"; "diminishing"."""
     step_size: float = 1e-3
-    """Of fixed steps, and the first of diminishing ones, step_size / (k + 1)."""
+    """Of fixed steps, and the first of diminishing ones, step_size / (k + 1)^0.6."""
     momentum: float = 0.9
     """Share of the last step that "heavy-ball" adds."""
     restarts: bool = True
@@ -272,6 +272,8 @@ class GoprontoOptions(CurveOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if isinstance(self.gains, str) and self.gains == "subproblem":
+            raise ValueError("gains='subproblem' is for pronto: 'gopronto' solves no LQ problem in an iteration")
         choose("variant", self.variant, VARIANTS)
         choose("step_rule", self.step_rule, STEP_RULES)
         positive("step_size", self.step_size)
@@ -357,4 +359,8 @@ def _weights(given: Any) -> tuple[Any, ...] | None:
         raise ValueError(f"{what}, got {given!r}") from None
     if any(part.ndim > 2 or not np.isfinite(part).all() or (part.ndim < 2 and (part < 0.0).any()) for part in parts):
         raise ValueError(f"{what}, finite and not negative, got {given!r}")
-    return tuple(part.tolist() for part in parts)
+    return tuple(_tuples(part.tolist()) for part in parts)
+
+
+def _tuples(part: Any) -> Any:
+    return tuple(_tuples(entry) for entry in part) if isinstance(part, list) else part

@@ -93,8 +93,9 @@ class BoundResidual(ABC):
 
     @abstractmethod
     def pull_back(self, trajectory: Trajectory, weights: Array, into: Slopes) -> None:
-        """Add dr/dx'w, dr/du'w and dr/dy'w at each knot to `into`, for weights (k, m): for gradients without Jacobians
-        of the steps.
+        """Add dr/dx'w, dr/du'w and dr/dy'w at each knot to `into`, for weights (k, m).
+
+        For gradients without Jacobians of the steps.
         """
 
     def curvature(self, trajectory: Trajectory, weights: Array, into: Expansion, output_weights: Array) -> None:

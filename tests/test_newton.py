@@ -241,7 +241,7 @@ def test_ways_to_end():
         ("newton", {"line_search": "none"}, "unknown line_search 'none'; there are"),
         ("newton", {"step": 1}, "unknown step 1; there are: closed-loop, open-loop"),
         ("newton", {"acceleration": 1}, "acceleration must be True or False, got 1"),
-        ("gradient", {"line_search": "armijo"}, "unknown option for method 'gradient' 'line_search'; there are: tol"),
+        ("gradient", {"step": "open-loop"}, "unknown option for method 'gradient' 'step'; there are: line_search, tol"),
     ],
 )  # fmt: skip
 def test_wrong_options_are_refused_in_one_sentence(method, options, sentence):
@@ -253,4 +253,4 @@ def test_wrong_options_are_refused_in_one_sentence(method, options, sentence):
 def test_methods_tell_what_they_need():
     table = mjslq.methods()
     assert table["newton"].needs == table["trust-region"].needs == "second derivatives"
-    assert table["gradient"].needs == "first derivatives" and table["gradient"].options == {}
+    assert table["gradient"].needs == "first derivatives" and table["gradient"].options == {"line_search": "exact"}

@@ -21,6 +21,15 @@ SEARCH = {
 STEP = {"step": SEARCH["step"]}
 NUMBER = [0.0, -1.0, math.nan, math.inf, "much", [1.0, 2.0]]
 TOLERANCE = ([0.0, 1e-9, 1, np.float64(0.1), np.int64(2)], [-1e-9, math.nan, math.inf, "small", True, [1e-6]])
+CURVES = {
+    "gains": (["lqr", "none"], ["lq", "", None, 3.0, [1.0]]),
+    "regulator": (
+        [None, (1.0, 1.0), ((2.0, 1.0), 0.1, 5.0)],
+        [1.0, "QR", (1.0,), (1.0, 1.0, 1.0, 1.0), (1.0, "R"), (-1.0, 1.0), (1.0, math.nan)],
+    ),
+    "limits": (["barrier", "clip"], ["bounds", None]),
+    "barrier": ([1e-6, 0.1, 1], [*NUMBER, None]),
+}
 VALUES = {
     "auto": {"curvature": (["auto", "always", "never"], ["newton", None, True])},
     "slq": SEARCH
@@ -41,7 +50,20 @@ VALUES = {
         "gamma": ([(0.5, 3.0), [0.1, 1.5]], [(0.5, 0.9), (1.5, 2.0), (0.0, 2.0), 2.0, None, (math.nan, 2.0)]),
         "hessian": (["newton", "gauss-newton"], ["exact", None]),
     },
-    "gradient": {},
+    "gradient": {"line_search": SEARCH["line_search"]},
+    "pronto": CURVES
+    | {
+        "order": (["first", "gauss-newton", "newton"], ["second", None]),
+        "globalize": (["blend", "gauss-newton", "gopronto", "none"], ["yes", None]),
+    },
+    "gopronto": CURVES
+    | {
+        "variant": (["gradient", "conjugate", "heavy-ball", "nesterov", "quasi-newton"], ["momentum", None]),
+        "step_rule": (["armijo", "interpolated", "fixed", "diminishing"], ["exact", None]),
+        "step_size": ([1e-4, 0.1], [*NUMBER, None]),
+        "momentum": ([0.0, 0.5, np.float64(0.9)], [-0.1, 1.0, math.nan, "much", True, None]),
+        "restarts": ([True, False], [1, "no", None]),
+    },
     "constrained": {
         "curvature": (["auto", "always", "never"], ["newton", None, True]),
         "tol_violation": ([1e-9, 1e-3, 1], [*NUMBER, None]),
@@ -225,7 +247,7 @@ def test_methods_that_are_none_are_refused():
         (
             "sql",
             r"unknown method 'sql'; there are: auto, slq, newton, trust-region, gradient, constrained, "
-            r"square-root-sweep, ilqr; did you mean 'slq'\?",
+            r"square-root-sweep, pronto, gopronto, ilqr; did you mean 'slq'\?",
         ),
         (None, "unknown method None; there are"),
         ("ddp", "unknown method 'ddp'; there are"),

@@ -205,7 +205,11 @@ def test_cost_gradient_and_gauss_newton_hessian(engines, engine, kind, when, los
     assert case.problem.cost(case.trajectory) == pytest.approx(
         sum(s * case.value(n, np.zeros(ndx + nu)) for n, s in acting.items()), rel=1e-12
     )
-    expansion = case.problem.expand(case.trajectory)
+    expansion, slopes = case.problem.expand(case.trajectory), case.problem.slopes(case.trajectory)
+    _, _, C, D = case.engine.linearize(case.trajectory)
+    by_x, by_u = np.einsum("nyi,ny->ni", C, slopes.y), np.einsum("nyi,ny->ni", D, slopes.y)[:-1]
+    np.testing.assert_allclose(slopes.q + by_x, expansion.q, rtol=1e-12, atol=1e-12 * np.abs(expansion.q).max())
+    np.testing.assert_allclose(slopes.r + by_u, expansion.r, rtol=1e-12, atol=1e-12 * np.abs(expansion.r).max())
     for n in range(N + 1):
         Hn, gn = blocks(expansion, n, ndx, nu)
         if n not in acting:

@@ -31,9 +31,8 @@ _rows, _bytes, _flags = types.float64[:, ::1], types.int8[:, ::1], types.boolean
 PULLBACK = types.FunctionType(_row(_row, _row, types.float64, _row, _row))
 """Type of a compiled pullback."""
 _given_cube = types.Array(types.float64, 3, "C", readonly=True)
-_SIGNATURE = types.void(
-    REAL, PULLBACK, types.int64, types.int64, _row, _row, _row, _given, _given, _given_cube, _bytes, _rows, _rows, _flags
-)  # fmt: skip
+_common = (types.int64, types.int64, _row, _row, _row, _given, _given, _given_cube, _bytes)
+_SIGNATURE = types.void(REAL, PULLBACK, *_common, _rows, _rows, _flags)
 
 
 @njit(cache=True, nogil=True)

@@ -1,4 +1,4 @@
-"""A train of carts, each with a pendulum upside down, coupled by springs and dampers (Sforni et al., GoPRONTO, section V).
+"""A train of carts with pendulums upside down, coupled by springs and dampers (Sforni et al., GoPRONTO, section V).
 
     (M + m) p_i'' + m l cos(th_i) th_i'' = u_i + m l sin(th_i) th_i'^2 - f_c p_i' + coupling_i
     m l cos(th_i) p_i'' + I th_i''       = m g l sin(th_i) - f_p th_i'
@@ -19,6 +19,7 @@ grows by 1.13 a step. The MJCF model of the same train (`engine="mujoco"`) has t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -60,13 +61,9 @@ def cart_train(
     if number > LARGEST:
         raise ValueError(f"carts must be at most {LARGEST}, got {carts}")
     h, train = positive("duration", duration) / N, Train(number)
-    choose("engine", engine, ("function", "mujoco"))
     limits = (-limit, limit) if nonnegative("limit", limit) else None
-    dynamics: Dynamics
-    if engine == "function":
-        dynamics = function_dynamics(train, h, limits)
-    else:
-        dynamics = mujoco_dynamics(train, h, limits)
+    made: dict[str, Callable[..., Dynamics]] = {"function": function_dynamics, "mujoco": mujoco_dynamics}
+    dynamics = made[choose("engine", engine, made)](train, h, limits)
     weights, effort = spread(STATE_WEIGHTS, number), positive("effort", effort)
     P = terminal_weight(train, h, effort)
     return Problem(

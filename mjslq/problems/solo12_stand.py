@@ -100,7 +100,7 @@ def posture(angle: float) -> dict[str, float]:
 
 
 def solo12(timestep: float, contact: str, torque: float = 0.0, feet: bool = False) -> MujocoDynamics:
-    """The robot on a floor, a motor on each joint, limited if there is a `torque`; sensors of the places of its feet."""
+    """The robot on a floor, a motor of at most `torque` on each joint (0: any), with sensors of its `feet` if asked."""
     import mujoco
 
     spec: Any = on_floor("solo12", tuple(f"{leg}_FOOT" for leg in LEGS), timestep, 0.01, FOOT_RADIUS)

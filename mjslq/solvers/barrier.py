@@ -53,23 +53,29 @@ class BarrierLoss(Loss):
 
     def value(self, r: Array) -> Array:
         """See `Loss.value`."""
-        total: Array = sum(np.where(has, self._beta(z), 0.0) for has, z, _ in self._sides(r))
-        return self._eps * total.sum(axis=1)
+        total = _sum([np.where(has, self._beta(z), 0.0) for has, z, _ in self.sides(r)])
+        values: Array = self._eps * total.sum(axis=1)
+        return values
 
     def slope(self, r: Array) -> Array:
         """See `Loss.slope`."""
-        total: Array = sum(np.where(has, sign * self._first(z), 0.0) for has, z, sign in self._sides(r))
+        total = _sum([np.where(has, sign * self._first(z), 0.0) for has, z, sign in self.sides(r)])
         return self._eps / self._s * total
 
     def curvature(self, r: Array) -> LossCurvature:
         """See `Loss.curvature`."""
         k, m = r.shape
-        total: Array = sum(np.where(has, self._second(z), 0.0) for has, z, _ in self._sides(r))
         W = np.zeros((k, m, m))
-        W[:, np.arange(m), np.arange(m)] = self._eps / (self._s * self._s) * total
+        W[:, np.arange(m), np.arange(m)] = self.diagonal(r)
         return LossCurvature(np.ones(k), W, None)
 
-    def _sides(self, r: Array) -> tuple[tuple[Array, Array, float], ...]:
+    def diagonal(self, r: Array) -> Array:
+        """Second derivatives by each entry. Shape (k, m)."""
+        total = _sum([np.where(has, self._second(z), 0.0) for has, z, _ in self.sides(r)])
+        return self._eps / (self._s * self._s) * total
+
+    def sides(self, r: Array) -> tuple[tuple[Array, Array, float], ...]:
+        """Of each side: where there is a limit, the slacks z, and the sign of dz/dr."""
         (low, up), s = self._has, self._s
         below = np.where(low, r - np.where(low, self._lower, 0.0), 1.0) / s
         above = np.where(up, np.where(up, self._upper, 0.0) - r, 1.0) / s
@@ -121,13 +127,25 @@ class Barrier:
         pairs = zip(self.constraints, self.losses, strict=True)
         return {c.name: loss.slope(c.residual.value(trajectory)) for c, loss in pairs}
 
+    def control_curvature(self, trajectory: Trajectory) -> Array | None:
+        """Second derivatives by the controls of their barriers; None without such. Shape (N, nu)."""
+        for constraint, loss in zip(self.constraints, self.losses, strict=True):
+            if constraint.name == CONTROLS:
+                return loss.diagonal(constraint.residual.value(trajectory))
+        return None
+
     def reach(self, trajectory: Trajectory) -> float:
         """The least slack of all, over s: infinite without limits."""
         least = np.inf
         for constraint, loss in zip(self.constraints, self.losses, strict=True):
-            for has, z, _ in loss._sides(constraint.residual.value(trajectory)):
+            for has, z, _ in loss.sides(constraint.residual.value(trajectory)):
                 least = min(least, float(z[has].min(initial=np.inf)))
         return least
+
+
+def _sum(parts: list[Array]) -> Array:
+    below, above = parts
+    return below + above
 
 
 def _of_controls(problem: Problem) -> BoundConstraint:

@@ -12,24 +12,23 @@ Rounds, from eps = `FIRST` |J_0| / m
     2  where the least slack is below delta: delta <- delta/10, and the round goes on
        else eps <- max(eps/10, c |J|/m), delta a twentieth of the least slack
 
-The last round is the one with eps m <= c |J|; it ends by the tests that all methods share. Where no step descends,
-gains are made anew, then delta is divided by 10, a few times.
+Each round makes gains of its own, since a control near a limit must not follow the feedback as others do. The last
+round is the one with eps m <= c |J|; it ends by the tests that all methods share. Where no step descends, gains are
+made anew, then delta is divided by 10, a few times.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 
-import numpy as np
-
-from mjslq.lq.box import Box
 from mjslq.options import CurveOptions
+from mjslq.problem import Problem
 from mjslq.solvers.barrier import CONTROLS, Barrier
 from mjslq.solvers.iterate import Direction, Iterate
 from mjslq.solvers.merit import Merit
 from mjslq.solvers.method import Duals, Method, Step
 from mjslq.solvers.projection import CurveIterate
-from mjslq.solvers.regulator import Regulator, check_weights
+from mjslq.solvers.regulator import Regulator
 from mjslq.status import Status
 
 FIRST, OVER, SHRINK = 0.1, 0.1, 0.1
@@ -65,11 +64,13 @@ class CurveMethod(Method):
         """Forget what was learnt of the cost: it is another one now, or has other gains."""
         return
 
+    def check(self, problem: Problem) -> None:
+        """Refuse gains and weights of other sizes."""
+        self.regulator.check(problem)
+
     def begin(self, start: Iterate) -> Iterate:
         """Put barriers into the cost, and find gains."""
         problem = start.problem
-        if self.settings.regulator is not None:
-            check_weights(self.settings.regulator, problem.dynamics.ndx, problem.dynamics.nu)
         self._start_cost = abs(start.cost)
         if problem.bound_constraints or (self.barriers_controls and problem.box.bounded):
             barrier = Barrier.of(problem, 1.0, FIRST_DELTA, self.barriers_controls)
@@ -131,15 +132,10 @@ class CurveMethod(Method):
         """Whether barriers keep the limits of the controls, or clipping does."""
         return self.settings.limits == "barrier"
 
-    def box(self, here: CurveIterate) -> Box:
-        """Limits of the change of the controls that a direction has to keep to."""
-        if self.barriers_controls:
-            return Box(np.full(here.trajectory.U.shape, -np.inf), np.full(here.trajectory.U.shape, np.inf))
-        return here.box
-
     def _take(self, barrier: Barrier, cost: float) -> None:
         target = self.settings.barrier * max(abs(cost), NEGLIGIBLE * self._start_cost)
         self.barrier, self._small = barrier, 0
+        self.regulator.stiffen = barrier.control_curvature
         self._rounds += 1
         self._final = barrier.eps * barrier.count <= 1.0001 * target
 
@@ -159,9 +155,7 @@ class CurveMethod(Method):
     def _changed(self, here: CurveIterate, barrier: Barrier, cost: float) -> CurveIterate:
         self._take(barrier, cost)
         self.restart()
-        there = here.under(here.K, barrier.problem)
-        if self.settings.regulator is None and self.regulator.adapts:
-            there = self.regulator.with_gains(there)
+        there = self.regulator.with_gains(here.under(here.K, barrier.problem))
         self._keep(there)
         return there
 

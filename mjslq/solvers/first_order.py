@@ -9,15 +9,15 @@ Notation
     gradient        d = -g
     conjugate       d = -g + beta d_{k-1},  beta = max(0, <g, g - g_{k-1}> / <g_{k-1}, g_{k-1}>)               (23)
     heavy-ball      s = -gamma g + rho s_{k-1}                                                                 (24)
-    nesterov        g at the curve xi_k + beta_k (xi_k - xi_{k-1}),  beta_k = k / (k + 3)                      (25), (26)
-    quasi-newton    d = -H w in the feedforward mu alone, alpha stays: H from the last `MEMORY` changes of w (L-BFGS), upon
-                    the inverse of the gains' metric G_n where there is one, or a multiple of the identity
+    nesterov        g at the curve xi_k + beta_k (xi_k - xi_{k-1}),  beta_k = k / (k + 3)                (25), (26)
+    quasi-newton    d = -H w in the feedforward mu alone, alpha stays: H from the last `MEMORY` changes of w (L-BFGS),
+                    upon the inverse of the gains' metric G_n where there is one, or a multiple of the identity
 
 Conjugacy. On a cost that is not quadratic it is lost: the conjugate rule starts anew with the gradient where
 |<g, g_{k-1}>| > `CONJUGATE` <g, g> (Powell's test) or d does not descend. Momentum starts anew where the cost rises or
 it does not descend, unless that is switched off.
 
-Quasi-Newton. The trajectory depends on a curve through mu + K alpha alone, on plain states, and the gradient by it is w.
+Quasi-Newton. On plain states the trajectory depends on a curve through mu + K alpha alone, and the gradient by it is w.
 In these closed-loop coordinates the Hessian is nearly the block-diagonal metric of the gains (`solvers.regulator`).
 
 Sources: Hestenes and Stiefel 1952, Polak and Ribiere 1969; Powell 1977, "Restart procedures for the conjugate gradient

@@ -1,15 +1,15 @@
 """`gopronto`: first-order methods on the cost of a projected curve (Sforni et al.); no LQ problem in an iteration.
 
-    1  lambda, w <- costates and gradient under feedback, from the last step to the first                    (16)
-    2  (alpha, mu) <- (alpha, mu) + gamma d,  d a first-order direction from (K'w, w) (`solvers.first_order`)    (17), (22)
-    3  x, u <- P(alpha, mu): a rollout under the tracking controller                                          (18)
+    1  lambda, w <- costates and gradient under feedback, from the last step to the first                   (16)
+    2  (alpha, mu) <- (alpha, mu) + gamma d,  d from (K'w, w) by a rule of `solvers.first_order`            (17), (22)
+    3  x, u <- P(alpha, mu): a rollout under the tracking controller                                         (18)
 
 gamma by `step_rule`:
 
-    armijo         gamma, gamma/2, gamma/4, ... until J falls by c1 of what the slope promises, from twice the step before
+    armijo         gamma, gamma/2, ... until J falls by c1 of what the slope promises, from twice the step before
     interpolated   the same, then the minimum of the parabola through J, its slope and the step, if that is lower
     fixed          `step_size`
-    diminishing    `step_size` / (k + 1)                                                                 (Remark III.3)
+    diminishing    `step_size` / (k + 1)^0.6                                                             (Remark III.3)
 
 Fixed and diminishing steps need not descend; the result is the best iterate. The gains are made before the first
 iteration, and anew when they do not stabilize (`solvers.regulator`). An iteration costs a rollout or two and an adjoint
@@ -34,6 +34,8 @@ from mjslq.solvers.projection import Curve, CurveIterate, project
 from mjslq.status import Status
 from mjslq.validation import Array
 
+DIMINISHING = 0.6
+"""Power of diminishing steps: their sum is infinite, that of their squares is not."""
 GROW = 2.0
 """Step offered to the search, relative to the one before."""
 FARTHEST = 10.0
@@ -124,7 +126,7 @@ class Gopronto(CurveMethod):
         return self._arrive(here, step, there, gamma * size, trial.evaluations)
 
     def _with_momentum(self, here: CurveIterate, change: Curve, merit: Merit) -> Step:
-        """Heavy-ball: Armijo's rule along -gamma g and a share of the last step; without that where it does not descend."""
+        """Heavy-ball: Armijo's rule along -gamma g and a share of the last step; or without it."""
         assert isinstance(self.rule, HeavyBall) and self.rule.last is not None and self._gamma is not None
         both = change.scaled(self._gamma).plus(self.rule.last, self.rule.momentum)
         if np.vdot(here.gradient, here.feedforward(both)) < 0.0:
@@ -141,7 +143,7 @@ class Gopronto(CurveMethod):
         """A step of a length known beforehand."""
         gamma = self.options.step_size
         if self.options.step_rule == "diminishing":
-            gamma /= self._taken + 1.0
+            gamma /= (self._taken + 1.0) ** DIMINISHING
         step = change.scaled(gamma)
         if isinstance(self.rule, HeavyBall) and not isinstance(self.rule, Nesterov) and self.rule.last is not None:
             step = step.plus(self.rule.last, self.rule.momentum)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
+from mjslq.problem import Problem
 from mjslq.solvers.iterate import Direction, Iterate
 from mjslq.solvers.merit import Merit
 from mjslq.status import Status
@@ -46,6 +47,10 @@ class Method(ABC):
 
     tests_direction: bool = True
     """Whether a short direction is a sign of convergence."""
+
+    def check(self, problem: Problem) -> None:
+        """Raise ValueError where the options do not fit a problem; called before anything is solved."""
+        return
 
     def begin(self, start: Iterate) -> Iterate:
         """What to start from: a method that changes the cost gives the same trajectory with another problem."""

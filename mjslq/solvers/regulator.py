@@ -2,7 +2,8 @@
 
     minimize  sum_n [ 1/2 x_n'Q x_n + 1/2 u_n'R u_n ] + 1/2 x_N'Q_N x_N    subject to  x_{n+1} = A_n x_n + B_n u_n
 
-for the user's weights (`regulator=(Q, R)` or `(Q, R, Q_N)`), or those of the cost's own second-order model. With given
+for the user's weights (`regulator=(Q, R)` or `(Q, R, Q_N)`; barriers of the controls add their curvature to R), or
+those of the cost's own second-order model. With given
 weights the sweep runs over a few steps at a time, from the last to the first, so that no Jacobian is kept but the gains
 themselves; the cost's own make arrays (N, ndx, ndx) while it runs.
 
@@ -23,6 +24,7 @@ Source: Sforni et al., section V: "recomputed only when it looses its stabilizin
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -32,8 +34,10 @@ from mjslq.lq.box import Box
 from mjslq.lq.problem import LQProblem
 from mjslq.lq.regularize import damped
 from mjslq.lq.riccati import solve
+from mjslq.problem import Problem
 from mjslq.solvers.damping import UNDAMPED
 from mjslq.solvers.projection import CurveIterate
+from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array, per_step_matrices
 
 LOST = 100.0
@@ -47,6 +51,8 @@ class Regulator:
         self._given, self._weights = gains, weights
         self.G: Array | None = None
         """The metric that came with the gains; None without. Shape (N, nu, nu)."""
+        self.stiffen: Callable[[Trajectory], Array | None] = lambda trajectory: None
+        """Curvature that barriers add to R along a trajectory. Shape (N, nu)."""
         self.made = 0
         """How often gains were made."""
         self._ratio = 1.0
@@ -57,10 +63,18 @@ class Regulator:
         """Whether gains are made here, not given."""
         return isinstance(self._given, str) and self._given == "lqr"
 
+    def check(self, problem: Problem) -> None:
+        """Raise ValueError for gains or weights that do not belong to the problem."""
+        dynamics = problem.dynamics
+        if not isinstance(self._given, str):
+            as_array("gains", self._given, (problem.horizon, dynamics.nu, dynamics.ndx))
+        if self._weights is not None:
+            _spread(self._weights, dynamics.ndx, dynamics.nu)
+
     def with_gains(self, here: CurveIterate) -> CurveIterate:
         """The iterate with new gains, or the given ones."""
         if not self.adapts:
-            return here.under(_checked(self._given, here))
+            return here.under(None if isinstance(self._given, str) else self._given)
         self.made += 1
         K, self.G = self._by_cost(here) if self._weights is None else self._by_weights(here, self._weights)
         there = here.under(K)
@@ -87,34 +101,28 @@ class Regulator:
     def _by_weights(self, here: CurveIterate, weights: tuple[Any, ...]) -> tuple[Array, Array]:
         dynamics, at = here.problem.dynamics, here.trajectory
         N, ndx, nu = at.horizon, dynamics.ndx, dynamics.nu
-        Q = per_step_matrices("regulator: Q", weights[0], 1, ndx, definite=False)
-        R = per_step_matrices("regulator: R", weights[1], 1, nu, definite=True)
-        P = per_step_matrices("regulator: Q_N", weights[-1 if len(weights) > 2 else 0], 1, ndx, definite=False)[0]
+        Q, R, P = _spread(weights, ndx, nu)
         K, G = np.empty((N, nu, ndx)), np.empty((N, nu, nu))
+        G[:] = R
+        if (stiffer := self.stiffen(at)) is not None:
+            G[:, np.arange(nu), np.arange(nu)] += stiffer
         for first, last in slices(N, ndx):
             A, B, _, _ = dynamics.linearize_slice(at, first, last)
             m = last - first
-            costs = np.concatenate([np.broadcast_to(Q, (m, ndx, ndx)), P[None]]), np.tile(R, (m, 1, 1))
+            costs = np.concatenate([np.broadcast_to(Q, (m, ndx, ndx)), P[None]]), G[first:last]
             zeros = np.zeros((m, nu, ndx)), np.zeros((m + 1, ndx)), np.zeros((m, nu)), np.zeros((m, ndx))
             found = solve(LQProblem(A, B, *costs, *zeros), refinements=0)
             K[first:last], P = found.K, found.P[0]
-            G[first:last] = R + np.einsum("nij,nik->njk", B, found.P[1:] @ B)
+            G[first:last] += np.einsum("nij,nik->njk", B, found.P[1:] @ B)
         return K, G
 
 
-def check_weights(weights: tuple[Any, ...], here_ndx: int, here_nu: int) -> None:
-    """Raise ValueError for weights that do not belong to a system."""
-    per_step_matrices("regulator: Q", weights[0], 1, here_ndx, definite=False)
-    per_step_matrices("regulator: R", weights[1], 1, here_nu, definite=True)
-    if len(weights) > 2:
-        per_step_matrices("regulator: Q_N", weights[2], 1, here_ndx, definite=False)
-
-
-def _checked(given: Any, here: CurveIterate) -> Array | None:
-    if isinstance(given, str):
-        return None  # "none"; those of the subproblem come with each direction
-    dynamics = here.problem.dynamics
-    return as_array("gains", given, (here.problem.horizon, dynamics.nu, dynamics.ndx))
+def _spread(weights: tuple[Any, ...], ndx: int, nu: int) -> tuple[Array, Array, Array]:
+    """Q, R and Q_N as matrices. Raises ValueError."""
+    Q = per_step_matrices("regulator: Q", weights[0], 1, ndx, definite=False)[0]
+    R = per_step_matrices("regulator: R", weights[1], 1, nu, definite=True)[0]
+    last = Q if len(weights) < 3 else per_step_matrices("regulator: Q_N", weights[2], 1, ndx, definite=False)[0]
+    return Q, R, last
 
 
 def _ratio(here: CurveIterate) -> float:

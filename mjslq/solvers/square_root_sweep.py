@@ -133,6 +133,14 @@ class SquareRootSweep(Method):
         self._opening = bool(options.first)  # only the constraints named by `first` are corrected yet
         self._said = ""
 
+    def check(self, problem: Problem) -> None:
+        """Refuse names of constraints that the problem has not, and weights for other controls."""
+        for name in self.options.first:
+            choose("constraint in option 'first'", name, names_in(problem))
+        weights, nu = self.options.weights, problem.dynamics.nu
+        if weights is not None and len(weights) != nu:
+            raise ValueError(f"option 'weights' must have one number a control, {nu}, got {len(weights)}")
+
     def begin(self, start: Iterate) -> Iterate:
         """The start, its gradient projected."""
         self._names = names_in(start.problem)
@@ -291,15 +299,6 @@ class SquareRootSweep(Method):
 def names_in(problem: Problem) -> list[str]:
     """Names of the constraints in the order of their rows, limits of the controls last."""
     return [constraint.name for constraint in problem.bound_constraints] + [RESERVED]
-
-
-def check_options(options: SquareRootSweepOptions, problem: Problem) -> None:
-    """Refuse, by ValueError, names of constraints that the problem has not, and weights for other controls."""
-    for name in options.first:
-        choose("constraint in option 'first'", name, names_in(problem))
-    nu = problem.dynamics.nu
-    if options.weights is not None and len(options.weights) != nu:
-        raise ValueError(f"option 'weights' must have one number a control, {nu}, got {len(options.weights)}")
 
 
 def _min_norm(model: LQProblem, weights: Array, augmented: bool) -> LQProblem:
