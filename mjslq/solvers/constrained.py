@@ -25,7 +25,7 @@ Last steps
 
 It takes second derivatives where the rounds have taken them in, or where they are cheap. Without 4 the solve ends when
 all constraints are met within `tol_violation`, e is as small, and L has no slope left by the tests that all methods
-share: at such a point the gradient of L is the one of the Lagrangian. Where the constraints are met, rounds end no more.
+share: at such a point the gradient of L is that of the Lagrangian. Where the constraints are met, rounds end no more.
 
 Infeasible: e above 0.9 of its least value in `STALLED` rounds, and rho at least 1e4 s. Then the solve starts anew from
 its start, twice at most, and then says so; it starts anew, too, where no step descends with any weight. It starts with
