@@ -87,7 +87,7 @@ class ConstrainedOptions(AutoOptions):
 
     tol_violation: float = 1e-6
     """Largest violation of a constraint, in its own unit."""
-    penalty: float = 0.1
+    penalty: float = 0.01
     """The first penalty weight, relative to the size of the cost. Small ones leave room to pass an obstacle on the
     other side, large ones keep near the start."""
 

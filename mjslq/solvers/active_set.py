@@ -27,7 +27,8 @@ A step of size 1, 1/2, ... is taken that lowers
     J + sum nu |r - [r]|_1,    nu twice the largest multiplier of the constraint ([.] clips to the interval)
 
 or, at size 1, quarters the error e of constraints and complementarity (the l1 merit function may refuse good steps near
-a solution). The method fails, and `constrained` goes on from where it was, where no step will do, or after `MOST`.
+a solution). The method fails, and `constrained` goes on from where it was, where no step will do, where `SLOW` steps do
+not halve e, and after `MOST`.
 
 Sources: Nocedal and Wright, Numerical Optimization, chapter 18; Friedlander and Orban 2012, "A primal-dual regularized
 interior-point method for convex quadratic programs", for the proximal term.
@@ -62,8 +63,8 @@ BEYOND = 1e-10
 """Violation that the step may leave of an entry that is not in force, scaled."""
 ROUNDS = 12
 """Sweeps for one step, at most."""
-MOST = 15
-"""Steps after which the method has failed."""
+MOST, SLOW = 15, 4
+"""Steps after which the method has failed, and how many of them need not halve the error."""
 SHARES = (1.0, 0.5, 0.25, 0.0)
 """Shares of the second derivatives that are tried until there is a minimizer."""
 C1, SMALLEST, ENOUGH = 1e-4, 1.0 / 64.0, 0.25
@@ -184,19 +185,22 @@ class Found(NamedTuple):
 class ActiveSet:
     """The method, with its multipliers."""
 
-    def __init__(self, problem: Problem, scales: tuple[Array, ...], size: float, second: bool) -> None:
+    def __init__(self, problem: Problem, scales: tuple[Array, ...], size: float) -> None:
         self.problem = problem.unpenalized
-        self._scales, self._size, self._second = scales, size, second
         self.multipliers: tuple[Array, ...] = ()
+        self._scales, self._size = scales, size
+        self._weight, self._second = WEIGHT * size, True
         self._costates: Array | None = None
-        self._steps = 0
+        self._rows: list[Rows] = []
+        self._steps = self._slow = 0
 
-    def begin(self, here: Iterate, multipliers: tuple[Array, ...], rho: float) -> Iterate:
+    def begin(self, here: Iterate, multipliers: tuple[Array, ...], rho: float, second: bool) -> Iterate:
         """The same trajectory as an iterate of the Lagrangian with these multipliers.
 
-        `rho` is the penalty weight with which they were found.
+        `rho` is the penalty weight with which they were found; `second` says whether to use second derivatives.
         """
-        self._costates, self._steps, self._weight = None, 0, min(WEIGHT * rho, LARGEST * self._size)
+        self._costates, self._steps, self._slow = None, 0, 0
+        self._weight, self._second = min(WEIGHT * rho, LARGEST * self._size), second
         return self._about(here.trajectory, multipliers, here)
 
     def direction(self, here: Iterate) -> Direction:
@@ -217,7 +221,7 @@ class ActiveSet:
     def step(self, here: Iterate, direction: Direction) -> Step:
         """Go along the direction, with new multipliers; no iterate where the method fails."""
         self._steps += 1
-        if self._steps > MOST:
+        if self._steps > MOST or self._slow > SLOW:
             return Step(None)
         start, slope = self._merit(here.trajectory), self._slope(here, direction)
         error, alpha, spent = self.error(here.trajectory, self.multipliers), 1.0, 0
@@ -227,8 +231,9 @@ class ActiveSet:
                 pairs = zip(self.multipliers, self._found.multipliers, strict=True)
                 multipliers = tuple(old + alpha * (new - old) for old, new in pairs)
                 falls = self._merit(there) <= start + C1 * alpha * min(slope, 0.0) + ROUNDING * abs(start)
-                nearer = alpha == 1.0 and self.error(there, multipliers) <= max(ENOUGH * error, EXACT)
-                if falls or nearer:
+                left = self.error(there, multipliers)
+                if falls or (alpha == 1.0 and left <= max(ENOUGH * error, EXACT)):
+                    self._slow += left > max(0.5 * error, EXACT)
                     self._costates = direction.costates
                     return Step(self._about(there, multipliers), alpha, spent)
             alpha *= 0.5

@@ -168,6 +168,11 @@ class Auto(Method):
         return Step(trial(alpha), alpha, trial.evaluations)
 
     @property
+    def second(self) -> bool:
+        """Whether second derivatives have been taken in."""
+        return self._second_from is not None
+
+    @property
     def damped(self) -> bool:
         """Whether multipliers weigh enough in the latest direction to make it short."""
         return self._latest is not None and self._latest.share > LITTLE

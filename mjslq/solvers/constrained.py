@@ -14,13 +14,18 @@ Rounds
     2  lambda <- lambda+;  rho <- 10 rho where e has not fallen below a quarter of its last value
     3  t <- max(`LEAST_T`, min(0.3 t, 0.01 e))
 
-from rho = 0.1 s and t = 0.01. Low weights first: where obstacles are in the way, a start that lies beyond one of them
+from rho = 0.01 s and t = 0.01. Low weights first: where obstacles are in the way, a start that lies beyond one of them
 can still be pushed to either side. Where no step descends, kinks of the losses are in the way: then the round goes on
 with a tenth of rho, and lambda stays.
 
-The solve ends when all constraints are met within `tol_violation`, e is as small, and L has no slope left by the tests
-that all methods share: at such a point the gradient of L is the one of the Lagrangian. Where the constraints are met,
-rounds end no more.
+Last steps
+----------
+    4  after a round with e < 0.01 and t <= 1e-4, Newton's method on the constraints in force (`solvers.active_set`),
+       from lambda+ to violations below `EXACT`; where it fails, the rounds go on, and 4 waits for a tenth of e and t
+
+It takes second derivatives where the rounds have taken them in, or where they are cheap. Without 4 the solve ends when
+all constraints are met within `tol_violation`, e is as small, and L has no slope left by the tests that all methods
+share: at such a point the gradient of L is that of the Lagrangian. Where the constraints are met, rounds end no more.
 
 Infeasible: e above 0.9 of its least value in `STALLED` rounds, and rho at least 1e4 s. Then the solve starts anew from
 its start, twice at most, and then says so; it starts anew, too, where no step descends with any weight. It starts with
@@ -67,8 +72,10 @@ RESTARTS, LIGHTER, HEAVIER = 2, 0.1, 100.0
 """Times that the solve starts anew, and the factors on the first rho."""
 LEAST_SHARE = 1e-3
 """Least size of the cost, relative to that of the start."""
-NEAR_COMPLEMENTARY, NEAR_T = 1e-2, 1e-4
-"""Violation, complementarity and tolerance of the round from which on the last steps are tried."""
+NEAR_E, NEAR_T = 1e-2, 1e-4
+"""Complementarity and tolerance of a round from which on the last steps are tried."""
+CHEAP = 20.0
+"""Price of second derivatives, in linearizations, up to which the last steps use them in any case."""
 FAILURES = 4
 """Times in a row that no step descends, at most; each time the weight is divided by `GROW`."""
 
@@ -112,7 +119,7 @@ class Constrained(Method):
         self._start = start
         self._scales = scales_of(start.problem, start)
         self._size = cost_size(start, self._scales)
-        self._active = ActiveSet(start.problem, self._scales, self._size, self.options.curvature != "never")
+        self._active = ActiveSet(start.problem, self._scales, self._size)
         self._first_rho = self.options.penalty * self._size
         self._start_is_met = start.problem.violation(start.trajectory) <= self.options.tol_violation
         self._said = _fixed(start, self.options.tol_violation)
@@ -198,6 +205,12 @@ class Constrained(Method):
         return self._augmented
 
     @property
+    def _curved(self) -> bool:
+        """Whether the last steps use second derivatives."""
+        cheap = self._start.problem.dynamics.curvature_price <= CHEAP
+        return self.options.curvature == "always" or self._inner.second or (cheap and self.options.curvature == "auto")
+
+    @property
     def _newton(self) -> ActiveSet:
         assert self._active is not None
         return self._active
@@ -242,8 +255,8 @@ class Constrained(Method):
         self._iterations, self._rounds = 0, self._rounds + 1
         there = self._augmented.about(here)
         self._keep(there)
-        if e < self._switch * NEAR_COMPLEMENTARY and self._t <= self._switch * NEAR_T:
-            self._before, there = there, self._newton.begin(there, multipliers, before.rho)
+        if e < self._switch * NEAR_E and self._t <= self._switch * NEAR_T:
+            self._before, there = there, self._newton.begin(there, multipliers, before.rho, self._curved)
         return Step(there, step.alpha, rollouts, rejected=step.iterate is None)
 
     def _soften(self, here: Iterate, rollouts: int) -> Step:
