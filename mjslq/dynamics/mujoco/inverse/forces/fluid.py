@@ -27,7 +27,6 @@ from __future__ import annotations
 import math
 
 import mujoco
-import numba
 import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.forces.kinks import sign
@@ -48,7 +47,7 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
 )
 from mjslq.dynamics.mujoco.inverse.table import columns
 from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import pointer
+from mjslq.native.memory import carray, pointer
 
 _SHADOW, _MASS, _INERTIA, _ANGULAR = (
     columns.FLUID_SHADOW, columns.FLUID_MASS, columns.FLUID_INERTIA, columns.FLUID_ANGULAR
@@ -61,7 +60,7 @@ _NOTHING = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 @inlined
 def _complex(address, rows):
-    return numba.carray(pointer(address), (rows, 6), np.complex128)
+    return carray(pointer(address), (rows, 6), np.complex128)
 
 
 @compiled
