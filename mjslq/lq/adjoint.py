@@ -8,9 +8,9 @@ with q_n, r_n the gradients of the stage costs by state and control.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from mjslq.lq.dense import add_transposed_product
+from mjslq.lq.dense import add_transposed_product, copy
+from mjslq.native.arrays import array_kernel
 from mjslq.validation import Array
 
 
@@ -25,12 +25,12 @@ def adjoint(A: Array, B: Array, q: Array, r: Array) -> tuple[Array, Array]:
     return costates, gradient
 
 
-@njit(cache=True, nogil=True)
+@array_kernel("lq-adjoint", "void(f8[3], f8[3], f8[2], f8[2], f8[2], f8[2])")
 def _adjoint(A, B, q, r, costates, gradient):
     N = B.shape[0]
-    costates[N] = q[N]
+    copy(q[N], costates[N])
     for n in range(N - 1, -1, -1):
-        gradient[n] = r[n]
+        copy(r[n], gradient[n])
         add_transposed_product(B[n], costates[n + 1], gradient[n])
-        costates[n] = q[n]
+        copy(q[n], costates[n])
         add_transposed_product(A[n], costates[n + 1], costates[n])

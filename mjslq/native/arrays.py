@@ -50,7 +50,7 @@ def _kind(text: str) -> _Kind:
 class ArrayKernel(Helper):
     """A kernel that Python calls with arrays; compiled functions may call it, too.
 
-    For arrays that are not as the signature says numba compiles it anew.
+    Arrays that are not C-contiguous, or of another type, are copied, and what was written is copied back.
     """
 
     def __init__(self, name: str, function: Callable[..., Any], signature: str, options: dict[str, Any]):
@@ -91,10 +91,23 @@ class ArrayKernel(Helper):
             face = value.__array_interface__
             shape = face["shape"]
             if face["strides"] is not None or face["typestr"] != typestr or len(shape) != ndim:
-                return self.dispatcher(*arguments)
+                return self._with_copies(arguments)
             given.append(face["data"][0])
             given += shape
         return self._call(*given)
+
+    def _with_copies(self, arguments: tuple[Any, ...]) -> Any:
+        copies = list(arguments)
+        for i, (kind, value) in enumerate(zip(self._kinds, arguments, strict=True)):
+            if kind.ndim:
+                if value.ndim != kind.ndim:
+                    raise ValueError(f"argument {i} of {self.__name__} must have {kind.ndim} axes, got {value.ndim}")
+                copies[i] = np.ascontiguousarray(value, _DTYPES[kind.code])
+        result = self(*copies)
+        for value, made in zip(arguments, copies, strict=True):
+            if made is not value and value.flags.writeable:
+                value[...] = made
+        return result
 
 
 def array_kernel(name: str, signature: str, **options: Any) -> Callable[[Callable[..., Any]], ArrayKernel]:

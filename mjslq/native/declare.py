@@ -17,6 +17,8 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
+from mjslq.native import symbols
+
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 """What all functions here are compiled with: divisions by zero give inf or nan and raise nothing."""
 _emitting = threading.local()
@@ -58,7 +60,7 @@ class Helper:
         """The same, of which only LLVM's code is made (`mjslq.native.emit`)."""
         from mjslq.native.emit import emitter
 
-        return emitter(self.function, self._options)
+        return emitter(self.function, {name: value for name, value in self._options.items() if name != "cache"})
 
     @property
     def _numba_type_(self) -> Any:
@@ -95,6 +97,7 @@ def external(name: str, signature: str) -> Declared:
         from numba import types
         from numba.core import sigutils
 
+        symbols.find([name])  # for functions that numba compiles to be called from Python
         arguments, result = sigutils.normalize_signature(signature)
         return types.ExternalFunction(name, result(*arguments))
 

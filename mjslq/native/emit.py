@@ -12,7 +12,9 @@ kernels neither allocate nor raise.
 
 from __future__ import annotations
 
+import functools
 import pickle
+import platform
 import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -21,10 +23,9 @@ import llvmlite.binding as llvm
 import numba
 from llvmlite import ir
 from numba.core import cgutils, compiler, sigutils, types
-from numba.core.codegen import JITCodeLibrary
+from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import register_pass
-from numba.core.registry import cpu_target
 from numba.core.typed_passes import NativeLowering
 
 from mjslq.native.declare import OPTIONS, emission
@@ -35,6 +36,9 @@ _RUNTIME = ("NRT_", "numba_", "Py", "_Py", "_ZN", "numba.")
 _NO_COUNTS = "".join(
     f"define weak_odr void @NRT_{what}(ptr %of) alwaysinline {{ ret void }}\n" for what in ("incref", "decref")
 )
+
+_PROCESSORS = {"x86_64": "x86-64-v3", "amd64": "x86-64-v3"}
+"""Processors for which bitcode is optimized: with vectors of four numbers, which others take in pieces."""
 
 
 class Code(NamedTuple):
@@ -55,10 +59,30 @@ class _Library(JITCodeLibrary):
         super().__init__(codegen, name)
         self._final_module.link_in(llvm.parse_assembly(_NO_COUNTS))  # first: numba's own are then left out
 
+    def _optimize_final_module(self) -> None:
+        """Nothing: a kernel is optimized once, as a whole."""
+
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
         self._verify_declare_only_symbols()
         self._finalized = True
+
+
+class _Portable(JITCPUCodegen):
+    """LLVM's optimizer for processors of a time, not for this one: what it makes is the same everywhere."""
+
+    _library_class = _Library
+
+    def _get_host_cpu_name(self) -> str:
+        return _PROCESSORS.get(platform.machine().lower()) or str(super()._get_host_cpu_name())
+
+    def _get_host_cpu_features(self) -> str:
+        return "" if platform.machine().lower() in _PROCESSORS else str(super()._get_host_cpu_features())
+
+
+@functools.cache
+def _portable() -> Any:
+    return _Portable("mjslq")
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -69,7 +93,7 @@ class _LowerOnly(NativeLowering):
 
     def run_pass(self, state: Any) -> bool:
         state.flags.no_compile = True
-        state.library = _Library(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library = _Library(_portable(), state.func_id.func_qualname)
         super().run_pass(state)
         made = state["cr"]
         callee = [].append  # any function of C that is no other's: numba keeps what it made under it
@@ -104,9 +128,8 @@ def emit(function: Callable[..., Any], signature: str, entry: str) -> Code:
         dispatcher.compile(tuple(arguments))
         made = dispatcher.overloads[tuple(arguments)]
         library = _with_entry(made, arguments, result, entry)
-        module = llvm.parse_assembly(library.get_llvm_str())
-    module.name = entry
-    _drop_the_rest(module, entry)
+        module = library._final_module
+        _optimize(module, entry)
     symbols = sorted(f.name for f in module.functions if f.is_declaration and not f.name.startswith("llvm."))
     foreign = [name for name in symbols if name.startswith(_RUNTIME)]
     raised = _exceptions(str(module))
@@ -121,7 +144,7 @@ def emit(function: Callable[..., Any], signature: str, entry: str) -> Code:
 def _with_entry(made: Any, arguments: tuple[Any, ...], result: Any, entry: str) -> Any:
     """A library with what numba made, and a C function that calls it."""
     context = made.target_context
-    library = _Library(context.codegen(), entry)
+    library = _Library(_portable(), entry)
     module = library.create_ir_module(entry)
     given = [context.get_value_type(kind) for kind in arguments]
     returned = ir.VoidType() if result is types.none else context.get_value_type(result)
@@ -142,25 +165,27 @@ def _with_entry(made: Any, arguments: tuple[Any, ...], result: Any, entry: str) 
     return library
 
 
-def _drop_the_rest(module: Any, entry: str) -> None:
-    """Keep the entry and what it refers to."""
+def _optimize(module: Any, entry: str) -> None:
+    """Keep the entry and what it refers to, and optimize as numba does."""
+    module.name = entry
     for thing in [*module.functions, *module.global_variables]:
         if not thing.is_declaration and thing.name != entry:
             thing.linkage = "internal"
-    options = llvm.create_pipeline_tuning_options(speed_level=3)
-    builder = llvm.create_pass_builder(_machine(), options)
-    manager = llvm.create_new_module_pass_manager()
-    manager.add_global_opt_pass()
-    manager.add_ipsccp_pass()
-    manager.add_dead_arg_elimination_pass()
-    manager.add_global_dead_code_eliminate_pass()
-    manager.run(module, builder)
-    manager.run(module, builder)
+    codegen = _portable()
+    inlining, builder = codegen._module_pass_manager(
+        loop_vectorize=codegen._loopvect, slp_vectorize=False, opt=codegen._opt_level, cost="cheap"
+    )
+    inlining.add_global_dead_code_eliminate_pass()
+    inlining.run(module, builder)
+    whole, builder = codegen._module_pass_manager()
+    whole.run(module, builder)
+    rest = llvm.create_new_module_pass_manager()
+    rest.add_ipsccp_pass()
+    rest.add_dead_arg_elimination_pass()
+    rest.add_global_opt_pass()
+    rest.add_global_dead_code_eliminate_pass()
+    rest.run(module, builder)
     module.verify()
-
-
-def _machine() -> Any:
-    return cpu_target.target_context.codegen()._tm
 
 
 def _exceptions(text: str) -> list[str]:

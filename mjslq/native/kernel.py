@@ -45,20 +45,21 @@ class Kernel:
             return self._make()
 
     def _make(self) -> int:
-        checksum = sources.checksum(self.module)
-        stored = bitcode.read(self.name)
-        if stored is not None and stored.checksum != checksum:
-            stored = None
         from mjslq.native import machine
 
+        checksum, stored = sources.checksum(self.module), bitcode.read(self.name)
+        if checksum is None:  # what was imported is not what the files say
+            with compilation():
+                return machine.link(*self._compiled(None), self.entry)
+        if stored is not None and stored.checksum != checksum:
+            stored = None
         name = f"{self.name}-{machine.key(self.name + checksum + ('' if stored is None else 'stored'))}"
         kept = machine.recall(name)
         if kept is None:
             with compilation():
-                made, symbols = self._compiled(stored)
-            machine.keep(name, made, symbols)
-            kept = made, symbols
-        return machine.link(kept[0], self.entry, kept[1])
+                kept = self._compiled(stored)
+            machine.keep(name, *kept)
+        return machine.link(*kept, self.entry)
 
     def _compiled(self, stored: bitcode.Stored | None) -> tuple[bytes, tuple[str, ...]]:
         """Machine code of what came with mjslq; where this is nothing, or not for this LLVM, of the function."""

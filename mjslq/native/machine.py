@@ -59,7 +59,7 @@ def translate(bitcode: bytes) -> bytes:
     return code
 
 
-def link(code: bytes, entry: str, names: tuple[str, ...]) -> int:
+def link(code: bytes, names: tuple[str, ...], entry: str) -> int:
     """Address of the function `entry` in machine code, which calls functions of the given names.
 
     Raises ImportError when one of them is not to be had: LLVM would end the process.

@@ -1,4 +1,4 @@
-"""What a kernel's code depends on: the module that it stands in, all that this imports from mjslq, and MuJoCo's numbers.
+"""What a kernel's code depends on: its module, all that this imports from mjslq, and MuJoCo's numbers.
 
 Compiled code holds copies of everything that it refers to: functions, constants of other modules, layouts of records,
 and numbers of MuJoCo's. Where any of these files has changed, or another MuJoCo is installed, it is stale.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import re
+import time
 from importlib import metadata
 from pathlib import Path
 
@@ -21,9 +22,12 @@ _IMPORT = re.compile(r"^(?:from\s+(mjslq[\w.]*)\s+import\s+(\([^)]*\)|[^\n]*)|im
 _MUJOCO = re.compile(r"^(?:import|from)\s+mujoco\b", re.MULTILINE)
 
 
+_START = time.time()
+
+
 @functools.cache
-def checksum(module: str) -> str:
-    """Checksum of all that the kernels in `module` depend on."""
+def checksum(module: str) -> str | None:
+    """Checksum of all that the kernels in `module` depend on; None where a file was changed since it was imported."""
     total, texts = hashlib.sha256(), {}
     waiting = [*_OWN, module]
     while waiting:
@@ -33,6 +37,8 @@ def checksum(module: str) -> str:
             waiting += _imported(texts[name])
     for name in sorted(texts):
         total.update(name.encode() + b"\0" + texts[name].encode() + b"\0")
+    if any(path.stat().st_mtime > _START for path in map(_path, texts) if path is not None):
+        return None
     if any(_MUJOCO.search(text) for text in texts.values()):
         total.update(metadata.version("mujoco").encode())
     return total.hexdigest()

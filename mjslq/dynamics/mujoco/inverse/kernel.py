@@ -278,6 +278,11 @@ def kernel(level: int) -> Kernel:
     return _make_kernel(f"mujoco-inverse-{NAMES[level]}", level >= CONSTRAINED, level >= FEELING, level >= WHOLE)
 
 
+def kernels() -> list[Kernel]:
+    """All of them."""
+    return [kernel(level) for level in range(len(NAMES))]
+
+
 def _make_kernel(name: str, constrained: bool, feeling: bool, whole: bool) -> Kernel:
     # numba leaves out what stands behind an argument that is None, or a switch from out here that is False
     rows, odd = 1 if constrained else None, 1 if whole else None

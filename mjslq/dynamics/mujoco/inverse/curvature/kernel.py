@@ -203,6 +203,11 @@ def kernel(constrained: bool, feeling: bool) -> Kernel:
     return _make_kernel(f"mujoco-curvature{'-constrained' * constrained}{'-feeling' * feeling}", constrained, feeling)
 
 
+def kernels() -> list[Kernel]:
+    """All of them."""
+    return [kernel(constrained, feeling) for constrained in (False, True) for feeling in (False, True)]
+
+
 def _make_kernel(name: str, constrained: bool, feeling: bool) -> Kernel:
     rows, felt = 1 if constrained else None, 1 if feeling else None
 

@@ -119,11 +119,18 @@ def _move(k, eps, pivot, place, pose, xpos, xmat):
         xpos[k - 3] += eps
         return
     i, j, sine, cosine = (k + 1) % 3, (k + 2) % 3, math.sin(eps), math.cos(eps)
-    xpos[i] = pivot[i] + cosine * r[i] - sine * r[j]
-    xpos[j] = pivot[j] + sine * r[i] + cosine * r[j]
+    along, across = _entry(r, i), _entry(r, j)
+    xpos[i] = _entry(pivot, i) + cosine * along - sine * across
+    xpos[j] = _entry(pivot, j) + sine * along + cosine * across
     for c in range(3):
         xmat[3 * i + c] = cosine * pose[3 * i + c] - sine * pose[3 * j + c]
         xmat[3 * j + c] = sine * pose[3 * i + c] + cosine * pose[3 * j + c]
+
+
+@inlined
+def _entry(a, i):
+    """Entry i of three numbers; an index into a tuple may raise an exception, which kernels must not."""
+    return a[0] if i == 0 else a[1] if i == 1 else a[2]
 
 
 @compiled
