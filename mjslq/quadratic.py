@@ -11,11 +11,11 @@ Notation
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from mjslq.native.arrays import array_kernel
 from mjslq.validation import Array
 
 
@@ -54,11 +54,17 @@ def transposed_times(J: Array, d: Array) -> Array:
     return product
 
 
-@njit(cache=True, nogil=True)
-def add_congruence(J, s, W, K, knots, into):
+def add_congruence(
+    J: Array, s: Array, W: Array, K: Array, knots: np.ndarray[Any, np.dtype[np.int64]], into: Array
+) -> None:
+    """into[knots_n] += s_n J_n'W_n K_n, skipping zeros of W and J."""
+    _add_congruence(J, s, W, K, knots, into, np.empty(K.shape[1:]))
+
+
+@array_kernel("quadratic-congruence", "void(f8[3], f8[1], f8[3], f8[3], i8[1], f8[3], f8[2])")
+def _add_congruence(J, s, W, K, knots, into, WK):
     """into[knots_n] += s_n J_n'W_n K_n, skipping zeros of W and J."""
     m, columns = K.shape[1], K.shape[2]
-    WK = np.empty((m, columns))
     for n in range(knots.shape[0]):
         weight = W[n if W.shape[0] > 1 else 0]
         for i in range(m):
@@ -78,7 +84,7 @@ def add_congruence(J, s, W, K, knots, into):
                         block[i, j] += slope * WK[k, j]
 
 
-@njit(cache=True, nogil=True)
+@array_kernel("quadratic-products", "void(f8[1], f8[2], f8[2], i8[1], f8[3])")
 def add_products(s, g, h, knots, into):
     """into[knots_n] += s_n g_n h_n'."""
     for n in range(knots.shape[0]):

@@ -22,11 +22,8 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from numba.core.dispatcher import Dispatcher
-from numba.core.errors import NumbaError
 from numpy.typing import ArrayLike, NDArray
 
-from mjslq import user_kernels as kernels
 from mjslq.complex_step import (
     DIFFERENCE,
     SMALL,
@@ -39,6 +36,7 @@ from mjslq.complex_step import (
     unscaled,
     wrong_slopes,
 )
+from mjslq.native.users import is_compiled
 from mjslq.validation import Array, as_array
 
 Derivative = Callable[..., Any] | None
@@ -74,10 +72,7 @@ class UserFunction:
         if value.ndim > 1:
             raise ValueError(f"{self.name} must return a number or numbers in a row (m,), got shape {value.shape}")
         self.size = value.size
-        try:
-            self._returns = kernels.returns_of(f, len(self._p))
-        except NumbaError as error:
-            raise ValueError(f"{self.name} cannot be compiled by numba: {_gist(error)}") from None
+        self._returns = _returned(self.name, f, len(self._p)) if is_compiled(f) else None
         self.by_differences = False
         """Whether derivatives are real differences, since complex steps were found to be wrong."""
         if jacobian is None and not self.compiled:
@@ -92,7 +87,7 @@ class UserFunction:
         """Values of f at every knot. Shape (k, m)."""
         out = np.empty((len(Z), self.size))
         if self._returns is not None:
-            self._kernel(kernels.values)(self._f, Z, self._nx, times, self._p, out)
+            self._kernel(_kernels().values)(self._f, Z, self._nx, times, self._p, out)
             return out
         for n, t in enumerate(times.tolist()):
             out[n] = self._value(Z[n], t)
@@ -116,7 +111,7 @@ class UserFunction:
         """df/dz by complex steps, unchecked, and along all entries at once. Shapes (k, m, nx + nu), (k, m)."""
         J, along = np.empty((len(Z), self.size, Z.shape[1])), np.empty((len(Z), self.size))
         if self._in_loop:
-            self._kernel(kernels.jacobians)(self._f, Z, self._nx, times, self._p, J, along)
+            self._kernel(_kernels().jacobians)(self._f, Z, self._nx, times, self._p, J, along)
         else:
             with refused_complex(self.name, self._remedy):
                 for n, t in enumerate(times.tolist()):
@@ -133,7 +128,7 @@ class UserFunction:
         if self.by_differences:
             return second_differences(self._values_of(times), Z, weights)
         if self._in_loop:
-            self._kernel(kernels.hessians)(self._f, Z, self._nx, times, self._p, weights, H)
+            self._kernel(_kernels().hessians)(self._f, Z, self._nx, times, self._p, weights, H)
             return H
         with refused_complex(self.name, self._remedy):
             for n, t in enumerate(times.tolist()):
@@ -145,7 +140,7 @@ class UserFunction:
         """Whether derivatives are complex steps in a compiled loop; ValueError where a compiled f cannot take them."""
         if self._returns is None or self._jacobian is not None:
             return False
-        if not kernels.takes_complex(self._f, self._returns, len(self._p)):
+        if not _kernels().takes_complex(self._f, self._returns, len(self._p)):
             raise ValueError(
                 f"{self.name} cannot be differentiated by complex steps: compiled for complex x and u it must return "
                 f"complex numbers; write it analytic in x and u, or use {self._remedy}"
@@ -190,7 +185,7 @@ class UserFunction:
 
     def _kernel(self, plain: Callable[..., Any]) -> Callable[..., Any]:
         assert self._returns is not None
-        return kernels.compiled(plain, self._returns, len(self._p))
+        return _kernels().compiled(plain, self._returns, len(self._p))
 
     def _value(self, z: Array, t: float) -> Array:
         value = np.atleast_1d(np.asarray(self._f(z[: self._nx], z[self._nx :], t, *self._p)))
@@ -224,7 +219,7 @@ class UserFunction:
 
     def _at_origin(self) -> Array:
         """What f returns at the origin, where it need not be defined but has its shape; or else near it."""
-        plain = self._f.py_func if isinstance(self._f, Dispatcher) else self._f  # which checks its indices
+        plain = self._f.py_func if is_compiled(self._f) else self._f  # which checks its indices
         errors: list[Exception] = []
         for number in (0.0, _GENERIC):
             try:
@@ -290,7 +285,24 @@ def not_analytic(name: str, f: Callable[..., Any], where: str, remedy: str) -> s
     )
 
 
-def _gist(error: NumbaError) -> str:
+def _kernels() -> Any:
+    """The compiled loops, which import numba: only for functions that it has compiled."""
+    from mjslq import user_kernels
+
+    return user_kernels
+
+
+def _returned(name: str, f: Any, parameters: int) -> Any:
+    """What a compiled function returns (`user_kernels.returns_of`); ValueError where numba cannot compile it."""
+    from numba.core.errors import NumbaError
+
+    try:
+        return _kernels().returns_of(f, parameters)
+    except NumbaError as error:
+        raise ValueError(f"{name} cannot be compiled by numba: {_gist(error)}") from None
+
+
+def _gist(error: Exception) -> str:
     """The line of numba's message that says what is wrong."""
     lines = [line.strip() for line in str(error).splitlines()]
     return next((line for line in lines[1:] if line), lines[0] if lines else "")

@@ -424,5 +424,5 @@ def test_kernels_are_the_same_compiled_or_not(seed):
     A, B = rng.standard_normal((5, 4)), rng.standard_normal((4, 6))
     compiled, plain = np.empty((5, 6)), np.empty((5, 6))
     dense.multiply(A, B, compiled)
-    dense.multiply.py_func(A, B, plain)
+    dense.multiply.function(A, B, plain)
     np.testing.assert_allclose(compiled, plain, rtol=1e-15, atol=1e-15)

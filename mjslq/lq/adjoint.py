@@ -13,9 +13,10 @@ A control that a limit holds does not follow the feedback: its row of K is left 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from mjslq.lq.dense import add_transposed_product
+from mjslq.lq.dense import add_transposed_product, copy
+from mjslq.native.arrays import array_kernel
+from mjslq.native.declare import helper
 from mjslq.validation import Array
 
 FREE, LOWER, UPPER, FIXED = 0, -1, 1, 2
@@ -33,18 +34,18 @@ def adjoint(A: Array, B: Array, q: Array, r: Array) -> tuple[Array, Array]:
     return costates, gradient
 
 
-@njit(cache=True, nogil=True)
+@array_kernel("lq-adjoint", "void(f8[3], f8[3], f8[2], f8[2], f8[2], f8[2])")
 def _adjoint(A, B, q, r, costates, gradient):
     N = B.shape[0]
-    costates[N] = q[N]
+    copy(q[N], costates[N])
     for n in range(N - 1, -1, -1):
-        gradient[n] = r[n]
+        copy(r[n], gradient[n])
         add_transposed_product(B[n], costates[n + 1], gradient[n])
-        costates[n] = q[n]
+        copy(q[n], costates[n])
         add_transposed_product(A[n], costates[n + 1], costates[n])
 
 
-@njit(cache=True, nogil=True)
+@array_kernel("lq-closed-loop-adjoint", "void(f8[3], f8[3], f8[3], i1[2], f8[2], f8[2], b1[2])")
 def closed_loop_adjoint(A, B, K, sides, costates, gradient, held):
     """Costates and gradient of some steps under feedback, in place.
 
@@ -58,7 +59,7 @@ def closed_loop_adjoint(A, B, K, sides, costates, gradient, held):
         subtract_feedback(n, K, sides, gradient, held, costates[n])
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+@helper(fastmath={"contract", "reassoc"})
 def subtract_feedback(n, K, sides, gradient, held, costate):
     """Costate -= K_n'w_n, the controls that a limit holds left out."""
     for i in range(gradient.shape[1]):

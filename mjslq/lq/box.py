@@ -42,12 +42,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from mjslq.lq.adjoint import adjoint
-from mjslq.lq.dense import add_product
+from mjslq.lq.dense import add_product, copy
 from mjslq.lq.problem import LQProblem, LQSolution, Mask, NotPositiveDefinite
 from mjslq.lq.riccati import solve
+from mjslq.native.arrays import array_kernel
 from mjslq.validation import Array
 
 ROUNDS = 60
@@ -249,7 +249,10 @@ def _clipped_step(
     return X, U
 
 
-@njit(cache=True, nogil=True)
+@array_kernel(
+    "lq-follow",
+    "void(f8[3], f8[3], f8[2], f8[2], f8[2], f8[3], f8[2], f8[2], f8[2], f8[2], f8[2])",
+)
 def _follow(A, B, c, X, U, K, k, lower, upper, Y, V):
     """Run the LQ problem's dynamics under v = [U + k - K (y - X)]."""
     N, nx, nu = B.shape
@@ -259,6 +262,6 @@ def _follow(A, B, c, X, U, K, k, lower, upper, Y, V):
             for j in range(nx):
                 v -= K[n, i, j] * (Y[n, j] - X[n, j])
             V[n, i] = min(max(v, lower[n, i]), upper[n, i])
-        Y[n + 1] = c[n]
+        copy(c[n], Y[n + 1])
         add_product(A[n], Y[n], Y[n + 1])
         add_product(B[n], V[n], Y[n + 1])

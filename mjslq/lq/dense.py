@@ -4,19 +4,24 @@ Every function writes into an array given to it, so that a sweep allocates nothi
 loops beat BLAS, whose call overhead they avoid; at 14 x 14 BLAS is four times as fast.
 """
 
+from __future__ import annotations
+
 import numpy as np
-from numba import njit
+
+from mjslq.lq.blas import gemm
+from mjslq.native.declare import helper
+from mjslq.native.memory import carray, pointer
 
 SMALL = 100
 """Multiply-adds below which the plain loops are used."""
 
 
-@njit(cache=True, inline="never")
+@helper(cache=True)
 def multiply(A, B, out):
     """Out = A B."""
     rows, inner, columns = A.shape[0], A.shape[1], B.shape[1]
     if rows * inner * columns > SMALL:
-        np.dot(A, B, out)
+        gemm(0, columns, rows, inner, B.ctypes.data, A.ctypes.data, inner, out.ctypes.data)  # out' = B'A'
         return
     for i in range(rows):
         for j in range(columns):
@@ -27,12 +32,12 @@ def multiply(A, B, out):
                 out[i, j] += a * B[k, j]
 
 
-@njit(cache=True, inline="never")
+@helper(cache=True)
 def multiply_transposed(A, B, out):
     """Out = A' B."""
     inner, rows, columns = A.shape[0], A.shape[1], B.shape[1]
     if rows * inner * columns > SMALL:
-        np.dot(A.T, B, out)
+        gemm(1, columns, rows, inner, B.ctypes.data, A.ctypes.data, rows, out.ctypes.data)  # out' = B'(A')'
         return
     out[:, :] = 0.0
     for k in range(inner):
@@ -42,7 +47,7 @@ def multiply_transposed(A, B, out):
                 out[i, j] += a * B[k, j]
 
 
-@njit(cache=True, fastmath={"contract", "reassoc"})
+@helper(cache=True, fastmath={"contract", "reassoc"})
 def add_transposed_product(A, x, out):
     """Out += A' x."""
     for k in range(A.shape[0]):
@@ -50,7 +55,7 @@ def add_transposed_product(A, x, out):
             out[i] += A[k, i] * x[k]
 
 
-@njit(cache=True, fastmath={"contract", "reassoc"})  # sums in any order, so that they vectorize
+@helper(cache=True, fastmath={"contract", "reassoc"})  # sums in any order, so that they vectorize
 def add_product(A, x, out):
     """Out += A x."""
     for i in range(A.shape[0]):
@@ -60,7 +65,7 @@ def add_product(A, x, out):
         out[i] += total
 
 
-@njit(cache=True)
+@helper(cache=True)
 def cholesky(A, L):
     """Write the lower factor of symmetric A into L; False when A is not positive definite (or not finite)."""
     n = A.shape[0]
@@ -79,7 +84,7 @@ def cholesky(A, L):
     return True
 
 
-@njit(cache=True)
+@helper(cache=True)
 def cholesky_solve(L, B):
     """Overwrite B with the solution of L L' X = B, all columns at once."""
     n, columns = B.shape
@@ -97,3 +102,24 @@ def cholesky_solve(L, B):
                 B[i, j] -= factor * B[k, j]
         for j in range(columns):
             B[i, j] /= L[i, i]
+
+
+@helper(cache=True)
+def copy(x, out):
+    """Out = x, for rows of numbers: as a statement it would compare the lengths, and raise an exception."""
+    for i in range(out.shape[0]):
+        out[i] = x[i]
+
+
+@helper(cache=True)
+def copy_matrix(A, out):
+    """Out = A."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = A[i, j]
+
+
+@helper(forceinline=True)
+def part(work, first, rows, columns):
+    """The matrix that lies in the numbers of `work` from `first` on."""
+    return carray(pointer(work.ctypes.data + 8 * first), (rows, columns), np.float64)

@@ -19,9 +19,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
-from mjslq.lq.dense import add_product, add_transposed_product
+from mjslq.lq.dense import add_product, add_transposed_product, copy, part
+from mjslq.native.arrays import array_kernel
 from mjslq.validation import Array
 
 Mask = np.ndarray[Any, np.dtype[np.bool_]]
@@ -51,7 +51,8 @@ class LQProblem(NamedTuple):
 
     def value(self, X: Array, U: Array) -> float:
         """Cost of the states `X` (N + 1, nx) and controls `U` (N, nu)."""
-        return float(_value(self.Q, self.R, self.M, self.q, self.r, X, U))
+        work = np.empty(X.shape[1] + U.shape[1])
+        return float(_value(self.Q, self.R, self.M, self.q, self.r, X, U, work))
 
     def control_gradient(self, X: Array, U: Array, costates: Array) -> Array:
         """Derivative of the Lagrangian by the controls, r + R u + M x + B'lambda_{n+1}. Shape (N, nu)."""
@@ -96,27 +97,27 @@ class NotPositiveDefinite(ArithmeticError):
         self.step = step
 
 
-@njit(cache=True, nogil=True)
+@array_kernel("lq-states", "void(f8[3], f8[3], f8[2], f8[2], f8[2])")
 def _states(A, B, c, U, X):
     for n in range(U.shape[0]):
-        X[n + 1] = c[n]
+        copy(c[n], X[n + 1])
         add_product(A[n], X[n], X[n + 1])
         add_product(B[n], U[n], X[n + 1])
 
 
-@njit(cache=True, nogil=True)
+@array_kernel("lq-control-gradient", "void(f8[3], f8[3], f8[3], f8[2], f8[2], f8[2], f8[2], f8[2])")
 def _control_gradient(B, R, M, r, X, U, costates, gradient):
     for n in range(U.shape[0]):
-        gradient[n] = r[n]
+        copy(r[n], gradient[n])
         add_product(R[n], U[n], gradient[n])
         add_product(M[n], X[n], gradient[n])
         add_transposed_product(B[n], costates[n + 1], gradient[n])
 
 
-@njit(cache=True, nogil=True)
-def _value(Q, R, M, q, r, X, U):
+@array_kernel("lq-value", "f8(f8[3], f8[3], f8[3], f8[2], f8[2], f8[2], f8[2], f8[1])")
+def _value(Q, R, M, q, r, X, U, work):
     total, nx, nu = 0.0, X.shape[1], U.shape[1]
-    gx, gu = np.empty(nx), np.empty(nu)
+    gx, gu = part(work, 0, 1, nx)[0], part(work, nx, 1, nu)[0]
     for n in range(X.shape[0]):
         gx[:] = 0.0
         add_product(Q[n], X[n], gx)
@@ -133,17 +134,20 @@ def _value(Q, R, M, q, r, X, U):
     return total
 
 
-@njit(cache=True, nogil=True)
+@array_kernel(
+    "lq-linear-terms",
+    "void(f8[3], f8[3], f8[3], f8[3], f8[3], f8[2], f8[2], f8[2], f8[2], f8[2], f8[2], f8[2], f8[2])",
+)
 def linear_terms_about(A, B, Q, R, M, q, r, c, X, U, new_q, new_r, new_c):
     """Write the linear terms and gaps of the problem in the differences from (X, U)."""
     N, nx = B.shape[0], B.shape[1]
     for n in range(N + 1):
-        new_q[n] = q[n]
+        copy(q[n], new_q[n])
         add_product(Q[n], X[n], new_q[n])
         if n == N:
             break
         add_transposed_product(M[n], U[n], new_q[n])
-        new_r[n] = r[n]
+        copy(r[n], new_r[n])
         add_product(R[n], U[n], new_r[n])
         add_product(M[n], X[n], new_r[n])
         for i in range(nx):

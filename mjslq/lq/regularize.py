@@ -32,10 +32,10 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from mjslq.lq.box import Box, BoxSolution, solve_in_box
 from mjslq.lq.problem import LQProblem, NotPositiveDefinite
+from mjslq.native.declare import helper
 from mjslq.validation import Array
 
 By = Literal["control", "state"]
@@ -104,7 +104,7 @@ def modification(problem: LQProblem, floor: Array) -> Array:
     return E
 
 
-@njit(cache=True, nogil=True)
+@helper(cache=True)
 def _modify(A, B, Q, R, M, floor, E):
     P = Q[-1].copy()
     for n in range(B.shape[0] - 1, -1, -1):

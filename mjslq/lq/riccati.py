@@ -30,17 +30,21 @@ matters: with terminal weights 1e12 times the control weights that takes the err
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from mjslq.lq.dense import (
     add_product,
     add_transposed_product,
     cholesky,
     cholesky_solve,
+    copy,
+    copy_matrix,
     multiply,
     multiply_transposed,
+    part,
 )
 from mjslq.lq.problem import LQProblem, LQSolution, Mask, NotPositiveDefinite, linear_terms_about
+from mjslq.native.arrays import array_kernel
+from mjslq.native.declare import helper
 from mjslq.validation import Array
 
 LEAST_CURVATURE = 1e-9
@@ -82,13 +86,13 @@ def solve(
     shift = np.full((N, nu), control_shift, dtype=np.float64)
     mask = np.zeros((N, nu), np.bool_) if held is None else held
     K, L, F = np.empty((N, nu, nx)), np.zeros((N, nu, nu)), np.empty((N, nx, nx))
-    P = np.empty((N + 1, nx, nx))
-    failed = _factorize(A, B, Q, R, M, shift, state_shift, mask, K, L, F, P)
+    P, work = np.empty((N + 1, nx, nx)), np.empty(3 * nx * nx + 2 * nx * nu + nu * nu + nx + nu)
+    failed = _factorize(A, B, Q, R, M, shift, state_shift, mask, K, L, F, P, work)
     if failed >= 0:
         raise NotPositiveDefinite(failed)
     k, p = np.empty((N, nu)), np.empty((N + 1, nx))
     X, U = np.empty((N + 1, nx)), np.empty((N, nu))
-    _vectors(A, B, q, r, c, mask, K, L, F, P, k, p)
+    _vectors(A, B, q, r, c, mask, K, L, F, P, k, p, work)
     X[0] = 0.0
     if free is not None:
         X[0, free] = _start(P[0][np.ix_(free, free)], p[0, free])
@@ -103,7 +107,7 @@ def solve(
             residual_r += shift * U
             residual_q += state_shift * X
             more_k, more_p, more_X, more_U = correction
-            _vectors(A, B, residual_q, residual_r, residual_c, mask, K, L, F, P, more_k, more_p)
+            _vectors(A, B, residual_q, residual_r, residual_c, mask, K, L, F, P, more_k, more_p, work)
             more_X[0] = 0.0
             if free is not None:
                 more_X[0, free] = _start(P[0][np.ix_(free, free)], more_p[0, free])
@@ -134,13 +138,17 @@ def _spread(L: Array, held: Mask) -> float:
     return float((pivots.max() / pivots.min()) ** 2) if pivots.size else 1.0
 
 
-@njit(cache=True, nogil=True)
-def _factorize(A, B, Q, R, M, shift, state_shift, held, K, L, F, P):
+@array_kernel(
+    "lq-factorize",
+    "i8(f8[3], f8[3], f8[3], f8[3], f8[3], f8[2], f8, b1[2], f8[3], f8[3], f8[3], f8[3], f8[1])",
+)
+def _factorize(A, B, Q, R, M, shift, state_shift, held, K, L, F, P, work):
     """Matrix recursion: K, the Cholesky factor L of G, F = A - B K and P. Returns the failing step, or -1."""
     N, nx, nu = B.shape
-    PB, PF = np.empty((nx, nu)), np.empty((nx, nx))
-    G, BK, RK, KRK = np.empty((nu, nu)), np.empty((nx, nx)), np.empty((nu, nx)), np.empty((nx, nx))
-    P[N] = Q[N]
+    PF, BK, KRK = part(work, 0, nx, nx), part(work, nx * nx, nx, nx), part(work, 2 * nx * nx, nx, nx)
+    rest = 3 * nx * nx
+    PB, RK, G = part(work, rest, nx, nu), part(work, rest + nx * nu, nu, nx), part(work, rest + 2 * nx * nu, nu, nu)
+    copy_matrix(Q[N], P[N])
     for i in range(nx):
         P[N, i, i] += state_shift
     for n in range(N - 1, -1, -1):
@@ -181,7 +189,7 @@ def _factorize(A, B, Q, R, M, shift, state_shift, held, K, L, F, P):
     return -1
 
 
-@njit(cache=True, nogil=True)
+@helper(cache=True)
 def _hold(i, G, K):
     """Take control i out: its row and column of G (lower half) become those of the identity, its row of K zero."""
     for j in range(G.shape[0]):
@@ -193,23 +201,29 @@ def _hold(i, G, K):
     K[i, :] = 0.0
 
 
-@njit(cache=True, nogil=True)
-def _vectors(A, B, q, r, c, held, K, L, F, P, k, p):
+@array_kernel(
+    "lq-vectors",
+    "void(f8[3], f8[3], f8[2], f8[2], f8[2], b1[2], f8[3], f8[3], f8[3], f8[3], f8[2], f8[2], f8[1])",
+)
+def _vectors(A, B, q, r, c, held, K, L, F, P, k, p, work):
     """Vector recursion with a factorization at hand: feedforward k and p back."""
     N, nx, nu = B.shape
-    beyond, column, gaps = np.empty(nx), np.empty((nu, 1)), c.any()
-    p[N] = q[N]
+    beyond, column, gaps = part(work, 0, 1, nx)[0], part(work, nx, nu, 1), False
+    for n in range(N):
+        for i in range(nx):
+            gaps = gaps or c[n, i] != 0.0
+    copy(q[N], p[N])
     for n in range(N - 1, -1, -1):
-        beyond[:] = p[n + 1]
+        copy(p[n + 1], beyond)
         if gaps:
             add_product(P[n + 1], c[n], beyond)  # p + P c
-        column[:, 0] = r[n]
+        copy(r[n], column[:, 0])
         add_transposed_product(B[n], beyond, column[:, 0])
         for i in range(nu):
             if held[n, i]:
                 column[i, 0] = 0.0
         cholesky_solve(L[n], column)
-        p[n] = q[n]
+        copy(q[n], p[n])
         add_transposed_product(F[n], beyond, p[n])
         for i in range(nu):
             k[n, i] = -column[i, 0]
@@ -217,7 +231,7 @@ def _vectors(A, B, q, r, c, held, K, L, F, P, k, p):
                 p[n, j] -= K[n, i, j] * r[n, i]
 
 
-@njit(cache=True, nogil=True)
+@array_kernel("lq-closed-loop", "void(f8[3], f8[3], f8[2], f8[3], f8[2], f8[2], f8[2])")
 def _follow(A, B, c, K, k, X, U):
     """States X from X[0] on and controls U under the feedback."""
     N, nx, nu = B.shape
@@ -227,6 +241,6 @@ def _follow(A, B, c, K, k, X, U):
             for j in range(nx):
                 total -= K[n, i, j] * X[n, j]
             U[n, i] = total
-        X[n + 1] = c[n]
+        copy(c[n], X[n + 1])
         add_product(A[n], X[n], X[n + 1])
         add_product(B[n], U[n], X[n + 1])

@@ -10,15 +10,13 @@ peaks at both ends of the motion. The paper's methods fail at beta = 1.
 
 from __future__ import annotations
 
-from functools import partial
-from typing import TYPE_CHECKING
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
 
 from mjslq.costs import Tracking
 from mjslq.dynamics.dynamics import Dynamics
-from mjslq.dynamics.function import FunctionDynamics
 from mjslq.problem import Problem
 from mjslq.problems.assets import load_asset
 from mjslq.trajectory import Trajectory
@@ -26,6 +24,8 @@ from mjslq.validation import choose, count, finite, positive
 
 if TYPE_CHECKING:
     import mujoco
+
+    from mjslq.dynamics.function import FunctionDynamics
 
 BETAS = (0.01, 0.05, 0.1, 0.5, 1.0)
 """The drag coefficients of Table 1."""
@@ -83,8 +83,10 @@ def describe(trajectory: Trajectory, target: float) -> dict[str, str]:
 
 
 def _function(beta: float, mass: float, dt: float) -> FunctionDynamics:
+    from mjslq.dynamics.function import FunctionDynamics
+
     return FunctionDynamics(
-        _equations, 2, 1, dt, integrator="euler", parameters=[mass, beta],
+        _compiled_equations(), 2, 1, dt, integrator="euler", parameters=[mass, beta],
         state_names=("x", "x.vel"), control_names=("force",),
     )  # fmt: skip
 
@@ -112,7 +114,13 @@ def _mujoco(beta: float, mass: float, dt: float) -> Dynamics:
     return MujocoDynamics.from_spec(spec)
 
 
-@njit(cache=True)
+@cache
+def _compiled_equations() -> Any:
+    import numba
+
+    return numba.njit(cache=True)(_equations)
+
+
 def _equations(x, u, t, p):
     mass, beta = p[0], p[1]
     v = x[1]

@@ -15,17 +15,15 @@ Euler, MuJoCo's own, reproduces these counts; explicit Euler does not.
 
 from __future__ import annotations
 
-from functools import partial
-from typing import TYPE_CHECKING
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
 
 from mjslq.bounds import Bounds
 from mjslq.constraints import State
 from mjslq.costs import Tracking
 from mjslq.dynamics.dynamics import Dynamics
-from mjslq.dynamics.function import FunctionDynamics, Integrator
 from mjslq.problem import Problem
 from mjslq.problems.assets import load_asset
 from mjslq.scene import Scene
@@ -34,6 +32,8 @@ from mjslq.validation import choose, count, finite, nonnegative, positive
 
 if TYPE_CHECKING:
     import mujoco
+
+    from mjslq.dynamics.function import FunctionDynamics, Integrator
 
 FAR = 1e6
 """Upper end of the springs' dead bands: never reached. [in]"""
@@ -100,8 +100,10 @@ def function_dynamics(
     stiffness: float, alpha: float, gravity: float, dt: float, integrator: Integrator
 ) -> FunctionDynamics:
     """The equations above, state (y, y_p, ydot)."""
+    from mjslq.dynamics.function import FunctionDynamics
+
     return FunctionDynamics(
-        _equations, 3, 1, dt, integrator=integrator, parameters=[stiffness, alpha, gravity],
+        _compiled_equations(), 3, 1, dt, integrator=integrator, parameters=[stiffness, alpha, gravity],
         state_names=("y", "piston", "y.vel"), control_names=("gas",),
     )  # fmt: skip
 
@@ -168,7 +170,13 @@ def _scene() -> Scene | None:
     return mujoco_dynamics(500.0, 0.1, 386.4, 0.01).scene()
 
 
-@njit(cache=True)
+@cache
+def _compiled_equations() -> Any:
+    import numba
+
+    return numba.njit(cache=True)(_equations)
+
+
 def _equations(x, u, t, p):
     stiffness, alpha, gravity = p[0], p[1], p[2]
     e = x[1] - x[0]

@@ -14,34 +14,31 @@ Notation
 
 from __future__ import annotations
 
-import ctypes
-import math
-from collections.abc import Callable
-from typing import Any
-
-import llvmlite.binding
 import mujoco
-import numba
 import numpy as np
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
 
 from mjslq.dynamics.mujoco.library import library_path
+from mjslq.native.declare import external, helper
+from mjslq.native.kernel import c_function
+from mjslq.native.memory import carray, pointer
+from mjslq.native.symbols import provide
 
-llvmlite.binding.load_library_permanently(library_path())
 
-address_t, number_t, void_t = types.intp, types.float64, types.void
-mj_resetData = types.ExternalFunction("mj_resetData", void_t(address_t, address_t))
-mj_step = types.ExternalFunction("mj_step", void_t(address_t, address_t))
-mj_forward = types.ExternalFunction("mj_forward", void_t(address_t, address_t))
-mj_differentiatePos = types.ExternalFunction(
-    "mj_differentiatePos", void_t(address_t, address_t, number_t, address_t, address_t)
-)
-mj_setState = types.ExternalFunction("mj_setState", void_t(address_t, address_t, address_t, types.int32))
-mjd_transitionFD = types.ExternalFunction(
-    "mjd_transitionFD", void_t(address_t, address_t, number_t, types.uint8, address_t, address_t, address_t, address_t)
-)
+def _load_library() -> None:
+    import llvmlite.binding
+
+    llvmlite.binding.load_library_permanently(library_path())
+
+
+provide("mj", _load_library)
+LOOP = "void(intp, intp, int32, voidptr)"
+"""Signature of a kernel: (model, data, worker, jobs), of which MuJoCo's batch hands on the last two."""
+mj_resetData = external("mj_resetData", "void(intp, intp)")
+mj_step = external("mj_step", "void(intp, intp)")
+mj_forward = external("mj_forward", "void(intp, intp)")
+mj_differentiatePos = external("mj_differentiatePos", "void(intp, intp, float64, intp, intp)")
+mj_setState = external("mj_setState", "void(intp, intp, intp, int32)")
+mjd_transitionFD = external("mjd_transitionFD", "void(intp, intp, float64, uint8, intp, intp, intp, intp)")
 
 ABSURD = float(mujoco.mjMAXVAL)
 """Magnitude from which MuJoCo calls a number bad."""
@@ -51,58 +48,40 @@ WARNINGS = int(mujoco.mjtWarning.mjNWARNING)
 _SIZES = ("N", "first", "last", "stride", "substeps", "nq", "nv", "na", "nu", "ny", "centered")
 _ARRAYS = (
     "model", "data", "qpos", "qvel", "act", "ctrl", "qacc", "warmstart", "sensors", "warnings",
-    "X", "U", "Y", "S", "F", "applied", "X_ref", "K", "lower", "upper", "A", "B", "C", "D", "bad_knots",
+    "X", "U", "Y", "S", "F", "applied", "X_ref", "K", "lower", "upper", "A", "B", "C", "D", "bad_knots", "work",
 )  # fmt: skip
 JOB = np.dtype([(name, np.int64) for name in _SIZES + _ARRAYS] + [("eps", np.float64), ("dt", np.float64)])
 """What a kernel needs to know: sizes, addresses of arrays (0: absent), numbers."""
 
 
-@intrinsic
-def pointer(typing_context: Any, address: Any) -> Any:
-    """Make a pointer to numbers of an address held in an integer."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
-
-    return types.voidptr(types.int64), generate
+def work_size(ndx: int, nu: int) -> int:
+    """Numbers in `work`, which is for intermediate results."""
+    return max(1, 2 * ndx * (ndx + nu))
 
 
-def c_function(signature: Any) -> Callable[[Callable[..., Any]], int]:
-    """Compile to a C function and return its address; keep the result on disk where a place for it can be found."""
-
-    def compile_kernel(function: Callable[..., Any]) -> Any:
-        options = {"error_model": "numpy"}
-        try:
-            return numba.cfunc(signature, cache=True, **options)(function)
-        except RuntimeError:  # numba finds no folder it may write to
-            return numba.cfunc(signature, **options)(function)
-
-    return compile_kernel
-
-
-@numba.njit(inline="always")
+@helper(forceinline=True)
 def _vector(address, size):
-    return numba.carray(pointer(address), (size,), np.float64)
+    return carray(pointer(address), (size,), np.float64)
 
 
-@numba.njit(inline="always")
+@helper(forceinline=True)
 def _matrix(address, rows, columns):
-    return numba.carray(pointer(address), (rows, columns), np.float64)
+    return carray(pointer(address), (rows, columns), np.float64)
 
 
-@numba.njit(inline="always")
+@helper(forceinline=True)
 def _integers(address, size):
-    return numba.carray(pointer(address), (size,), np.int64)
+    return carray(pointer(address), (size,), np.int64)
 
 
-@numba.njit(inline="always")
+@helper(forceinline=True)
 def copy_into(source, target):
     """Copy numbers, as many as `target` has room for."""
     for i in range(target.shape[0]):
         target[i] = source[i]
 
 
-@numba.njit(inline="always")
+@helper(forceinline=True)
 def _sane(values):
     """Whether every entry is a number that MuJoCo would not call bad."""
     for value in values:  # noqa: SIM110 -- a plain loop is what numba compiles well
@@ -111,17 +90,17 @@ def _sane(values):
     return True
 
 
-@numba.njit(inline="always")
+@helper(forceinline=True)
 def _warned(job):
     """Whether MuJoCo has counted any warning; the counters stand in pairs with other information."""
-    counters = numba.carray(pointer(job.warnings), (2 * WARNINGS,), np.int32)
+    counters = carray(pointer(job.warnings), (2 * WARNINGS,), np.int32)
     for i in range(0, 2 * WARNINGS - 1, 2):  # noqa: SIM110
         if counters[i] != 0:
             return True
     return False
 
 
-@numba.njit(inline="always")
+@helper(forceinline=True)
 def _load(job, x):
     """Put the state x into mjData."""
     copy_into(x[: job.nq], _vector(job.qpos, job.nq))
@@ -129,7 +108,7 @@ def _load(job, x):
     copy_into(x[job.nq + job.nv :], _vector(job.act, job.na))
 
 
-@numba.njit(inline="always")
+@helper(forceinline=True)
 def _store(job, x):
     """Read the state x out of mjData."""
     copy_into(_vector(job.qpos, job.nq), x[: job.nq])
@@ -137,7 +116,7 @@ def _store(job, x):
     copy_into(_vector(job.act, job.na), x[job.nq + job.nv :])
 
 
-@numba.njit(inline="always")
+@helper(forceinline=True)
 def _feedback(job, n, x, given, deviation, u):
     """Write clip(given - K difference(x_ref, x), lower, upper) into u."""
     nx, ndx = job.nq + job.nv + job.na, 2 * job.nv + job.na
@@ -158,7 +137,7 @@ def _feedback(job, n, x, given, deviation, u):
         u[i] = total
 
 
-@numba.njit(inline="always")
+@helper(forceinline=True)
 def _hold(job, S, end, y):
     """Step k times under the control in mjData, from the state there.
 
@@ -177,7 +156,7 @@ def _hold(job, S, end, y):
     return True
 
 
-@numba.njit(inline="always")
+@helper(forceinline=True)
 def _roll_out(job, X, U, applied, Y, S, deviation):
     """Simulate from X[0] under U; return the first bad knot, N + 1 for none. All arrays hold up to there."""
     ctrl, sensors, N = _vector(job.ctrl, job.nu), _vector(job.sensors, job.ny), job.N
@@ -201,34 +180,36 @@ def _roll_out(job, X, U, applied, Y, S, deviation):
     return N if _warned(job) or not _sane(Y[N]) else N + 1
 
 
-@c_function(void_t(address_t, address_t, types.int32, types.voidptr))
+@c_function("mujoco-simulate", LOOP)
 def simulate(_model, _data, worker, jobs):
     """Roll out number `first`, `first` + `stride`, ... below `last`, each from its X[0] under its U.
 
     X, U, Y, S and `applied` are tables of addresses, one for each rollout. Where K is given the law makes `applied` of
     U; where it is not, `applied` holds what U holds.
     """
-    job = numba.carray(jobs, worker + 1, JOB)[worker]
-    nx, N, deviation = job.nq + job.nv + job.na, job.N, np.empty(2 * job.nv + job.na)
+    job = carray(jobs, worker + 1, JOB)[worker]
+    nx, N, deviation = job.nq + job.nv + job.na, job.N, _vector(job.work, 2 * job.nv + job.na)
     Xs, Us, Ys = _integers(job.X, job.last), _integers(job.U, job.last), _integers(job.Y, job.last)
     Ss = _integers(job.S, job.last)
     controls, bad_knots = _integers(job.applied, job.last), _integers(job.bad_knots, job.last)
-    for i in range(job.first, job.last, job.stride):
+    i = job.first
+    while i < job.last:  # range() raises where the stride is zero, and kernels raise nothing
         X, Y = _matrix(Xs[i], N + 1, nx), _matrix(Ys[i], N + 1, job.ny)
         U, applied = _matrix(Us[i], N, job.nu), _matrix(controls[i], N, job.nu)
         bad_knots[i] = _roll_out(job, X, U, applied, Y, Ss[i], deviation)
+        i += job.stride
 
 
-@c_function(void_t(address_t, address_t, types.int32, types.voidptr))
+@c_function("mujoco-step-each", LOOP)
 def step_each(_model, _data, worker, jobs):
     """One step from each of the knots first ... last - 1, each from a clean mjData: F, S and Y; of knot N only Y.
 
     F and S are NaN where the step goes wrong.
     """
-    job = numba.carray(jobs, worker + 1, JOB)[worker]
+    job = carray(jobs, worker + 1, JOB)[worker]
     nx, nu, ny, between = job.nq + job.nv + job.na, job.nu, job.ny, job.substeps - 1
     X, U, Y = _matrix(job.X, job.N + 1, nx), _matrix(job.U, job.N, nu), _matrix(job.Y, job.N + 1, ny)
-    ctrl, sensors, time = _vector(job.ctrl, nu), _vector(job.sensors, ny), np.empty(1)
+    ctrl, sensors, time = _vector(job.ctrl, nu), _vector(job.sensors, ny), _vector(job.work, 1)
     for n in range(job.first, job.last):
         mj_resetData(job.model, job.data)
         time[0] = n * job.dt
@@ -247,7 +228,7 @@ def step_each(_model, _data, worker, jobs):
                 _vector(S, between * nx)[i] = np.nan
 
 
-@numba.njit(inline="always")
+@helper(forceinline=True)
 def _settle(job, x):
     """Put x into mjData, and the constraint solver's solution there, found from a cold start, into its warm start."""
     qacc, warmstart = _vector(job.qacc, job.nv), _vector(job.warmstart, job.nv)
@@ -258,7 +239,7 @@ def _settle(job, x):
     copy_into(qacc, warmstart)
 
 
-@numba.njit(inline="always")
+@helper(forceinline=True)
 def _chain(A_1, B_1, A, B, product):
     """A becomes A_1 A and B becomes A_1 B + B_1; `product` (ndx, ndx + nu) is for intermediate results."""
     ndx, nu = B.shape
@@ -280,7 +261,7 @@ def _chain(A_1, B_1, A, B, product):
             B[i, c] = product[i, ndx + c]
 
 
-@c_function(void_t(address_t, address_t, types.int32, types.voidptr))
+@c_function("mujoco-transition", LOOP)
 def transition(_model, _data, worker, jobs):
     """Jacobians A, B, C, D of the knots first ... last - 1 by differences of the step (mjd_transitionFD).
 
@@ -289,11 +270,12 @@ def transition(_model, _data, worker, jobs):
     Knot N has no step: only its C is computed, at zero control. The constraint solver starts from the solution
     at the knot itself, found from a cold start, so that a knot's Jacobians do not depend on its neighbours.
     """
-    job = numba.carray(jobs, worker + 1, JOB)[worker]
+    job = carray(jobs, worker + 1, JOB)[worker]
     nx, ndx, nu, ny, last = job.nq + job.nv + job.na, 2 * job.nv + job.na, job.nu, job.ny, job.substeps - 1
     U, ctrl = _matrix(job.U, job.N, nu), _vector(job.ctrl, nu)
-    centered, product = types.uint8(job.centered), np.empty((ndx, ndx + nu))
-    A_1, B_1 = np.empty((ndx, ndx)), np.empty((ndx, nu))
+    centered, product = np.uint8(job.centered), _matrix(job.work, ndx, ndx + nu)
+    A_1 = _matrix(job.work + 8 * ndx * (ndx + nu), ndx, ndx)
+    B_1 = _matrix(job.work + 8 * ndx * (2 * ndx + nu), ndx, nu)
     mj_resetData(job.model, job.data)
     for n in range(job.first, job.last):
         for i in range(nu):
@@ -310,10 +292,3 @@ def transition(_model, _data, worker, jobs):
             _settle(job, _vector(job.S + 8 * (n * last + s) * nx, nx))
             mjd_transitionFD(job.model, job.data, job.eps, centered, A_1.ctypes.data, B_1.ctypes.data, 0, 0)
             _chain(A_1, B_1, _matrix(A, ndx, ndx), _matrix(B, ndx, nu), product)
-
-
-def address(kernel: Any) -> int:
-    """Address of a compiled kernel, for `Workers.run`."""
-    pointer = ctypes.cast(kernel.ctypes, ctypes.c_void_p).value
-    assert pointer is not None and math.isfinite(pointer)
-    return pointer

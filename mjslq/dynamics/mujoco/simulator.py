@@ -129,7 +129,7 @@ class Simulator:
 
     def _run(self, kernel: Any, jobs: np.ndarray[Any, Any]) -> None:
         refuse_callbacks()
-        self.workers.run(kernels.address(kernel), jobs)
+        self.workers.run(kernel.address, jobs)
 
     def _jobs(self, number: int, N: int, fields: dict[str, Any]) -> np.ndarray[Any, Any]:
         """Make `number` jobs with the model's own entries and `fields`: arrays by address, numbers as they are.
@@ -148,12 +148,13 @@ class Simulator:
         sizes = {"nq": model.nq, "nv": model.nv, "na": model.na, "nu": model.nu, "ny": model.nsensordata}
         sizes["substeps"] = self.substeps
         _fill(jobs, {"model": model._address, **sizes})
-        for job, data in zip(jobs, self.data, strict=True):
+        self._work = [np.empty(kernels.work_size(self.ndx, model.nu)) for _ in self.data]
+        for job, data, work in zip(jobs, self.data, self._work, strict=True):
             views = {
                 "qpos": data.qpos, "qvel": data.qvel, "act": data.act, "ctrl": data.ctrl, "qacc": data.qacc,
                 "warmstart": data.qacc_warmstart, "sensors": data.sensordata, "warnings": data.warning.number,
             }  # fmt: skip
-            _fill(job, {"data": data._address, **views})
+            _fill(job, {"data": data._address, "work": work, **views})
         return jobs
 
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mjslq.dynamics.dynamics import Linearization
-from mjslq.dynamics.mujoco import kernels
 from mjslq.dynamics.mujoco.inverse.forces.unmodelled_forces import (
     covered_part,
     rest_part,
@@ -76,7 +75,7 @@ class InverseJacobians:
         given = {name: np.ascontiguousarray(array) for name, array in states.items()}
         for name, array in {**result._asdict(), **given}.items():
             jobs[name] = array.ctypes.data
-        simulator.workers.run(kernels.address(kernel(self._level)), jobs)
+        simulator.workers.run(kernel(self._level).address, jobs)
         return result
 
     def _blank_jobs(self) -> np.ndarray[Any, Any]:

@@ -12,13 +12,8 @@ the knot: da_d = (derivatives at this step) (dq, dv, dact, du), with what the st
 from __future__ import annotations
 
 import functools
-import zlib
-from pathlib import Path
-from typing import Any
 
-import numba
 import numpy as np
-from numba import types
 
 from mjslq.dynamics.mujoco.inverse.acceleration import (
     complete_inertia,
@@ -36,19 +31,12 @@ from mjslq.dynamics.mujoco.inverse.rows.constraints import find_rows
 from mjslq.dynamics.mujoco.inverse.rows.differences import mj_comPos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.spatial import compiled
 from mjslq.dynamics.mujoco.inverse.table.job import JOB, integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import (
-    address_t,
-    c_function,
-    copy_into,
-    mj_forward,
-    mj_resetData,
-    number_t,
-    void_t,
-)
+from mjslq.dynamics.mujoco.kernels import LOOP, copy_into, mj_forward, mj_resetData
+from mjslq.native.declare import external
+from mjslq.native.kernel import Kernel, c_function
+from mjslq.native.memory import carray
 
-mjd_quatIntegrate = types.ExternalFunction(
-    "mjd_quatIntegrate", void_t(address_t, number_t, address_t, address_t, address_t)
-)
+mjd_quatIntegrate = external("mjd_quatIntegrate", "void(intp, float64, intp, intp, intp)")
 
 
 @compiled
@@ -274,14 +262,6 @@ def _feel_last_knot(job, x, odd):
         fill(matrix(job.acc_rate, job.nv, job.columns), np.nan)
 
 
-def sources() -> int:
-    """Checksum of all that the kernels here are made of: numba by itself looks at this file's date alone."""
-    folder, checksum = Path(__file__).parent, 1
-    for path in [folder.parent / "kernels.py", *sorted(folder.rglob("*.py"))]:
-        checksum = zlib.crc32(path.read_bytes(), checksum)
-    return checksum + 1
-
-
 SMOOTH, CONSTRAINED, FEELING, WHOLE = range(4)
 """How much there is to a kernel, each level with all of those before it: rigid bodies, springs, dampers, actuators with
 constant moment arms and sensors of motion; constraints, contacts among them; sensors of accelerations, contacts and
@@ -289,24 +269,30 @@ limits, and those without a closed form; fluids, moving moment arms, forces with
 integrator's metric."""
 
 
+NAMES = ("smooth", "constrained", "feeling", "whole")
+
+
 @functools.cache
-def kernel(level: int) -> Any:
-    """Compile the loop over the horizon, or find it on disk; what a model does not need would take long to compile."""
-    return _make_kernel(sources(), level >= CONSTRAINED, level >= FEELING, level >= WHOLE)
+def kernel(level: int) -> Kernel:
+    """The loop over the horizon; what a model does not need would take long to make machine code of."""
+    return _make_kernel(f"mujoco-inverse-{NAMES[level]}", level >= CONSTRAINED, level >= FEELING, level >= WHOLE)
 
 
-def _make_kernel(stamp: int, constrained: bool, feeling: bool, whole: bool) -> Any:
+def kernels() -> list[Kernel]:
+    """All of them."""
+    return [kernel(level) for level in range(len(NAMES))]
+
+
+def _make_kernel(name: str, constrained: bool, feeling: bool, whole: bool) -> Kernel:
     # numba leaves out what stands behind an argument that is None, or a switch from out here that is False
     rows, odd = 1 if constrained else None, 1 if whole else None
 
-    @c_function(void_t(address_t, address_t, types.int32, types.voidptr))
+    @c_function(name, LOOP)
     def inverse(_model, _data, worker, jobs):
         """Jacobians A, B, C, D of the knots first ... last - 1; knot N has only C."""
-        if stamp == 0:  # it never is; what a function refers to is part of its key on disk
-            return
-        job = numba.carray(jobs, worker + 1, JOB)[worker]
+        job = carray(jobs, worker + 1, JOB)[worker]
         nx, ndx, nu, ny = job.nq + job.nv + job.na, 2 * job.nv + job.na, job.nu, job.ny
-        U, no_control, between = matrix(job.U, job.N, nu), np.zeros(nu), job.substeps - 1
+        U, no_control, between = matrix(job.U, job.N, nu), vector(job.no_control, nu), job.substeps - 1
         mj_resetData(job.model, job.data)
         for n in range(job.first, job.last):
             C, D = matrix(job.C + 8 * n * ny * ndx, ny, ndx), matrix(job.D + 8 * n * ny * nu, ny, nu)

@@ -13,10 +13,10 @@ Tuples live in registers, so nothing is allocated. (Featherstone, Rigid Body Dyn
 
 from __future__ import annotations
 
-import numba
+from mjslq.native.declare import helper
 
-compiled = numba.njit(error_model="numpy", nogil=True)
-inlined = numba.njit(forceinline=True, error_model="numpy", nogil=True)
+compiled = helper()
+inlined = helper(forceinline=True)
 
 
 @inlined

@@ -21,7 +21,7 @@ that depends on S_i alone. Summed over subtrees, each dof's share is
 
 from __future__ import annotations
 
-from numba import types
+import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.rows.constraints import CONE, ELLIPTIC, QUADRATIC
 from mjslq.dynamics.mujoco.inverse.rows.contacts import contact_wrench, pushes, row_directions
@@ -103,7 +103,7 @@ def add_load(job, r, count, kind, contact):
         none = (0.0, 0.0, 0.0)
         # a turning about p, or a motion of p
         S = join(way, cross3(x_2, way)) if k < 3 else join(none, way)
-        dp, ddist, phi = contact_motion(job, contact, S, types.int64(2))
+        dp, ddist, phi = contact_motion(job, contact, S, np.int64(2))
         moved = _work(W, U_w, dp, phi) + _work(K_a, U_a, dp, phi) + _work(K_v, U_v, dp, phi)
         c[0, k] = moved + e * ddist
     whole = row6(c, 0)

@@ -25,7 +25,6 @@ import numpy as np
 
 from mjslq import rotation
 from mjslq.dynamics.dynamics import Linearization
-from mjslq.dynamics.mujoco import kernels
 from mjslq.dynamics.mujoco.inverse.curvature.cover import served_sensors
 from mjslq.dynamics.mujoco.inverse.table.columns import DIFFERENCED, OPEN
 from mjslq.dynamics.mujoco.inverse.table.job import SECOND_WORK
@@ -101,7 +100,7 @@ class InverseHessians:
         for name, array in arrays.items():
             jobs[name] = array.ctypes.data
         feeling = weighted and bool((self._served == DIFFERENCED).any())
-        workers.run(kernels.address(kernel(bool(self._table["constrained"]), feeling)), jobs)
+        workers.run(kernel(bool(self._table["constrained"]), feeling).address, jobs)
 
     def _blank_jobs(self) -> np.ndarray[Any, Any]:
         """Jobs as the Jacobians' kernel has them, and what this one needs besides."""

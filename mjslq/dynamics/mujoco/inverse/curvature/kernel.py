@@ -15,11 +15,8 @@ Xc and Sc are there only at knots that are marked as having an a_c apart from a_
 from __future__ import annotations
 
 import functools
-from typing import Any
 
-import numba
 import numpy as np
-from numba import types
 
 from mjslq.dynamics.mujoco.inverse.acceleration import (
     complete_inertia,
@@ -45,13 +42,15 @@ from mjslq.dynamics.mujoco.inverse.curvature.multipliers import (
 from mjslq.dynamics.mujoco.inverse.curvature.readings import bend_readings
 from mjslq.dynamics.mujoco.inverse.curvature.rigid import add_second_derivatives, inward_test, outward_test
 from mjslq.dynamics.mujoco.inverse.curvature.rows import bend_rows, weigh_rows
-from mjslq.dynamics.mujoco.inverse.kernel import load, sources
+from mjslq.dynamics.mujoco.inverse.kernel import load
 from mjslq.dynamics.mujoco.inverse.rigid import inward, mass_matrix, outward
 from mjslq.dynamics.mujoco.inverse.rows.constraints import evaluate_rows, find_rows
 from mjslq.dynamics.mujoco.inverse.rows.differences import mj_comPos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, cross_motion, inertia_times, put6, row6
 from mjslq.dynamics.mujoco.inverse.table.job import JOB, integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import address_t, c_function, copy_into, mj_resetData, void_t
+from mjslq.dynamics.mujoco.kernels import LOOP, copy_into, mj_resetData
+from mjslq.native.kernel import Kernel, c_function
+from mjslq.native.memory import carray
 
 
 @compiled
@@ -199,23 +198,26 @@ def _bend_step(job, x, v_next, A, B, pull, Z, Xd, Xc, Sc, apart, rows):
 
 
 @functools.cache
-def kernel(constrained: bool, feeling: bool) -> Any:
-    """Compile the loop over the knots, or find it on disk; with constraint rows, and with sensors by differences."""
-    return _make_kernel(sources(), constrained, feeling)
+def kernel(constrained: bool, feeling: bool) -> Kernel:
+    """The loop over the knots; with constraint rows, and with sensors by differences."""
+    return _make_kernel(f"mujoco-curvature{'-constrained' * constrained}{'-feeling' * feeling}", constrained, feeling)
 
 
-def _make_kernel(stamp: int, constrained: bool, feeling: bool) -> Any:
+def kernels() -> list[Kernel]:
+    """All of them."""
+    return [kernel(constrained, feeling) for constrained in (False, True) for feeling in (False, True)]
+
+
+def _make_kernel(name: str, constrained: bool, feeling: bool) -> Kernel:
     rows, felt = 1 if constrained else None, 1 if feeling else None
 
-    @c_function(void_t(address_t, address_t, types.int32, types.voidptr))
+    @c_function(name, LOOP)
     def bend(_model, _data, worker, jobs):
         """Blocks of the knots first ... last - 1; knot N has only Z, of its readings."""
-        if stamp == 0:  # it never is; what a function refers to is part of its key on disk
-            return
-        job = numba.carray(jobs, worker + 1, JOB)[worker]
+        job = carray(jobs, worker + 1, JOB)[worker]
         nx, ndx, nu, ny, nv, cols = job.nq + job.nv + job.na, 2 * job.nv + job.na, job.nu, job.ny, job.nv, job.columns
         X, U, ends = matrix(job.X, job.N + 1, nx), matrix(job.U, job.N, nu), matrix(job.ends, job.N, nx)
-        no_control, apart = np.zeros(nu), integers(job.apart, job.N + 1)
+        no_control, apart = vector(job.no_control, nu), integers(job.apart, job.N + 1)
         mj_resetData(job.model, job.data)
         for n in range(job.first, job.last):
             Z = matrix(job.Z + 8 * n * cols * cols, cols, cols)

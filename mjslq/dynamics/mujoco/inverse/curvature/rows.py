@@ -16,7 +16,7 @@ contacts (`cones`), and by v for the constraints connect and weld, which follow 
 
 from __future__ import annotations
 
-from numba import types
+import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.algebra import assign
 from mjslq.dynamics.mujoco.inverse.curvature.cones import bend_cone
@@ -60,7 +60,7 @@ def weigh_rows(job, M, G):
     D = vector(entry_address(job.data + job.at_efc_D), rows)
     dofs, values, jacobian = integers(job.dofs, job.nv), vector(job.values, job.nv), matrix(job.jacobian, 10, job.nv)
     assign(G, M)
-    r = types.int64(0)
+    r = np.int64(0)
     while r < rows:
         if kinds[r] == ELLIPTIC and states[r] == CONE:
             contact = entry_address(job.data + job.at_contact) + ids[r] * job.at_contact_size
@@ -106,16 +106,16 @@ def slope_of_rows(job, acc, w, slope):
     for k in range(3):
         for i in range(job.nv):
             slope[k, i] = 0.0
-    bent, touching, r = types.int64(0), types.int64(0), types.int64(0)
+    bent, touching, r = np.int64(0), np.int64(0), np.int64(0)
     while r < rows:
         if kinds[r] >= FRICTIONLESS:
             contact = contacts + ids[r] * job.at_contact_size
             dim = flags(contact + job.at_contact_dim, 1)[0]
-            count = types.int64(2 * (dim - 1) if kinds[r] == PYRAMIDAL else dim)
+            count = np.int64(2 * (dim - 1) if kinds[r] == PYRAMIDAL else dim)
             if touching == 0:
                 start_loads(job, acc, w)
             add_load(job, r, count, kinds[r], contact)
-            touching = types.int64(1)
+            touching = np.int64(1)
             r += count - 1
         elif states[r] == QUADRATIC:
             bent = _add_row_slope(job, r, kinds[r], ids[r], acc, w, slope, bent)
@@ -166,7 +166,7 @@ def _add_row_slope(job, r, kind, index, acc, w, slope, bent):
     else:
         group = integers(job.dof_group, job.nv)[dofs[0]]
         add_turning_axis(job, group, D, K[1], jar, acc, dofs[:size], values, F)
-    return types.int64(1)
+    return np.int64(1)
 
 
 @inlined
@@ -324,11 +324,11 @@ def _bend_cones(job, w, Z, X, S):
     kinds = flags(entry_address(job.data + job.at_efc_type), rows)
     ids = flags(entry_address(job.data + job.at_efc_id), rows)
     states = flags(entry_address(job.data + job.at_efc_state), rows)
-    r = types.int64(0)
+    r = np.int64(0)
     while r < rows:
         if kinds[r] == ELLIPTIC and states[r] == CONE:
             contact = entry_address(job.data + job.at_contact) + ids[r] * job.at_contact_size
-            dim = types.int64(flags(contact + job.at_contact_dim, 1)[0])
+            dim = np.int64(flags(contact + job.at_contact_dim, 1)[0])
             read_cone(job, r, dim)
             bend_cone(job, r, dim, contact, w, Z, X, S)
             r += dim - 1

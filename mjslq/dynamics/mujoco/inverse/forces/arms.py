@@ -25,8 +25,6 @@ from __future__ import annotations
 
 import math
 
-from numba import types
-
 from mjslq.dynamics.mujoco.inverse.forces.kinks import displacement, sign
 from mjslq.dynamics.mujoco.inverse.rows.constraints import mj_tendon
 from mjslq.dynamics.mujoco.inverse.rows.differences import mj_comPos, mj_integratePos, mj_kinematics
@@ -43,9 +41,10 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
 )  # fmt: skip
 from mjslq.dynamics.mujoco.inverse.table.columns import BAND, DAMPING, FORCE_NUMBERS, STIFFNESS, TENDON_NUMBERS
 from mjslq.dynamics.mujoco.inverse.table.job import flags, integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import address_t, copy_into, void_t
+from mjslq.dynamics.mujoco.kernels import copy_into
+from mjslq.native.declare import external
 
-mj_transmission = types.ExternalFunction("mj_transmission", void_t(address_t, address_t))
+mj_transmission = external("mj_transmission", "void(intp, intp)")
 
 
 @compiled

@@ -16,24 +16,21 @@ and nothing to be factorized.
 
 from __future__ import annotations
 
-from numba import types
+import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.rows.constraints import find_rows, mj_tendon
 from mjslq.dynamics.mujoco.inverse.rows.differences import mj_comPos, mj_integratePos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.spatial import compiled
 from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import address_t, copy_into, void_t
+from mjslq.dynamics.mujoco.kernels import copy_into
+from mjslq.native.declare import external
 
-_step = void_t(address_t, address_t)
-mj_transmission = types.ExternalFunction("mj_transmission", _step)
-mj_passive = types.ExternalFunction("mj_passive", _step)
-mj_fwdActuation = types.ExternalFunction("mj_fwdActuation", _step)
-mj_Euler = types.ExternalFunction("mj_Euler", _step)
-mjd_smooth_vel = types.ExternalFunction("mjd_smooth_vel", void_t(address_t, address_t, types.int32))
-mju_mulMatVecSparse = types.ExternalFunction(
-    "mju_mulMatVecSparse",
-    void_t(address_t, address_t, address_t, types.int32, address_t, address_t, address_t, address_t),
-)
+mj_transmission = external("mj_transmission", "void(intp, intp)")
+mj_passive = external("mj_passive", "void(intp, intp)")
+mj_fwdActuation = external("mj_fwdActuation", "void(intp, intp)")
+mj_Euler = external("mj_Euler", "void(intp, intp)")
+mjd_smooth_vel = external("mjd_smooth_vel", "void(intp, intp, int32)")
+mju_mulMatVecSparse = external("mju_mulMatVecSparse", "void(intp, intp, intp, int32, intp, intp, intp, intp)")
 
 _POSITION, _VELOCITY, _ACTIVATION, _CONTROL = range(4)
 
@@ -163,13 +160,13 @@ def _measure_velocities(job):
     """Velocities of tendons and actuators."""
     if job.ntendon > 0:
         mju_mulMatVecSparse(
-            job.ten_velocity, job.ten_J, job.qvel, types.int32(job.ntendon),
-            job.ten_J_rownnz, job.ten_J_rowadr, job.ten_J_colind, types.intp(0),
+            job.ten_velocity, job.ten_J, job.qvel, np.int32(job.ntendon),
+            job.ten_J_rownnz, job.ten_J_rowadr, job.ten_J_colind, np.intp(0),
         )  # fmt: skip
     if job.rest_acts:
         mju_mulMatVecSparse(
-            job.actuator_velocity, job.actuator_moment, job.qvel, types.int32(job.nout),
-            job.moment_rownnz, job.moment_rowadr, job.moment_colind, types.intp(0),
+            job.actuator_velocity, job.actuator_moment, job.qvel, np.int32(job.nout),
+            job.moment_rownnz, job.moment_rowadr, job.moment_colind, np.intp(0),
         )  # fmt: skip
 
 

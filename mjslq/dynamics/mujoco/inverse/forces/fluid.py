@@ -27,9 +27,9 @@ from __future__ import annotations
 import math
 
 import mujoco
-import numba
 import numpy as np
 
+from mjslq.dynamics.mujoco.inverse.complex_numbers import divide, root
 from mjslq.dynamics.mujoco.inverse.forces.kinks import sign
 from mjslq.dynamics.mujoco.inverse.spatial import (
     add6,
@@ -48,7 +48,7 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
 )
 from mjslq.dynamics.mujoco.inverse.table import columns
 from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import pointer
+from mjslq.native.memory import carray, pointer
 
 _SHADOW, _MASS, _INERTIA, _ANGULAR = (
     columns.FLUID_SHADOW, columns.FLUID_MASS, columns.FLUID_INERTIA, columns.FLUID_ANGULAR
@@ -61,7 +61,7 @@ _NOTHING = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 @inlined
 def _complex(address, rows):
-    return numba.carray(pointer(address), (rows, 6), np.complex128)
+    return carray(pointer(address), (rows, 6), np.complex128)
 
 
 @compiled
@@ -282,13 +282,13 @@ def _force(prm, x, g):
     """g(x): added mass, Magnus and Kutta lift, drag."""
     w, v = x[0:3], x[3:6]
     near, far, square = _shadow(prm, v)
-    speed, spin = np.sqrt(square), 0j
+    speed, spin = root(square), 0j
     for i in range(3):
         spin += (prm[_ANGULAR + i] * w[i]) ** 2
-    area = math.pi * np.sqrt(far / _at_least(near))
-    lift = prm[_KUTTA] * near / _at_least(speed * far) * area
+    area = math.pi * root(divide(far, _at_least(near)))
+    lift = divide(prm[_KUTTA] * near, _at_least(speed * far)) * area
     drag = prm[_STOKES] + speed * (prm[_AREA] * area + prm[_WIDEST])
-    turning = prm[_STOKES_TURN] + prm[_DENSITY] * np.sqrt(spin)
+    turning = prm[_STOKES_TURN] + prm[_DENSITY] * root(spin)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         g[i] = (prm[_INERTIA + j] - prm[_INERTIA + k]) * w[j] * w[k] - turning * w[i]
@@ -303,17 +303,17 @@ def _slope(prm, x, B, guard):
     """B = dg/dx, the quadratic drag of turning divided by no less than `guard`."""
     w, v = x[0:3], x[3:6]
     near, far, square = _shadow(prm, v)
-    speed, spin = np.sqrt(square), 0j
+    speed, spin = root(square), 0j
     for i in range(3):
         spin += (prm[_ANGULAR + i] * w[i]) ** 2
         for j in range(6):
             B[i, j] = B[3 + i, j] = 0j
-    area = math.pi * np.sqrt(far / _at_least(near))
-    whole = (prm[_AREA] * area + prm[_WIDEST]) / _at_least(speed)
-    spread = prm[_AREA] * speed * math.pi / _at_least(np.sqrt(near * near * near * far))
-    lift = math.pi * prm[_KUTTA] / _at_least(np.sqrt(far * near * square))
-    swirl = np.sqrt(spin)
-    turning = prm[_DENSITY] / (swirl if abs(swirl) > guard else guard + 0j)
+    area = math.pi * root(divide(far, _at_least(near)))
+    whole = divide(prm[_AREA] * area + prm[_WIDEST], _at_least(speed))
+    spread = divide(prm[_AREA] * speed * math.pi, _at_least(root(near * near * near * far)))
+    lift = divide(math.pi * prm[_KUTTA], _at_least(root(far * near * square)))
+    swirl = root(spin)
+    turning = divide(prm[_DENSITY], swirl if abs(swirl) > guard else guard + 0j)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         B[i, j] += (prm[_INERTIA + j] - prm[_INERTIA + k]) * w[k]
@@ -331,6 +331,6 @@ def _slope(prm, x, B, guard):
             a = prm[_SHADOW + m]
             B[i, m] -= turning * w[i] * prm[_ANGULAR + m] ** 2 * w[m]
             widening = spread * a * v[m] * (a * near - far)
-            inner = a * a * near / _at_least(far) - a + near / _at_least(square)
+            inner = divide(a * a * near, _at_least(far)) - a + divide(near, _at_least(square))
             B[3 + i, 3 + m] -= (whole * v[m] + widening) * v[i]
             B[3 + i, 3 + m] += lift * v[i] * v[m] * (2.0 * near * (a - prm[_SHADOW + i]) - side * inner)

@@ -26,7 +26,7 @@ added at the end, for all that one sensor feels at once.
 
 from __future__ import annotations
 
-from numba import types
+import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.readings.frames import clear_rows, is_below, moves, pose
 from mjslq.dynamics.mujoco.inverse.rigid import symmetric_times
@@ -121,7 +121,7 @@ def write_acceleration(job, s, kind, row, C, D):
             drag = add3(velocity_at(by_v, x), add3(cross3(head(S), at_x), cross3(w, dp)))
             put_dof(job, row, i, back, change, drag, dp, C)
         i = parent[i]
-    add_acceleration(job, row, types.int64(3), C, D)
+    add_acceleration(job, row, np.int64(3), C, D)
 
 
 @inlined

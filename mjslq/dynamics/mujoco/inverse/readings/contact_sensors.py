@@ -6,7 +6,7 @@ velocity of the bodies, in a contact's axes, is what rows measure: d(J v), as in
 
 from __future__ import annotations
 
-from numba import types
+import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.readings.accelerations import add_acceleration, clear_lever
 from mjslq.dynamics.mujoco.inverse.readings.frames import clear_rows, is_below
@@ -46,9 +46,9 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
 )  # fmt: skip
 from mjslq.dynamics.mujoco.inverse.table import columns
 from mjslq.dynamics.mujoco.inverse.table.job import entry_count, flags, integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import address_t
+from mjslq.native.declare import external
 
-mj_insideSite = types.ExternalFunction("mj_insideSite", types.int32(address_t, address_t, types.int32, address_t))
+mj_insideSite = external("mj_insideSite", "int32(intp, intp, int32, intp)")
 
 
 @compiled
@@ -56,7 +56,7 @@ def _matches(job, s, contact):
     """Whether a contact sensor counts a contact: 1, -1 if with the opposite normal, 0 if not."""
     asked = _asked_sides(job, s)
     if asked[0] == columns.INSIDE and not mj_insideSite(
-        job.model, job.data, types.int32(asked[1]), contact + job.at_contact_pos
+        job.model, job.data, np.int32(asked[1]), contact + job.at_contact_pos
     ):
         return 0
     geoms = flags(contact + job.at_contact_geom, 2)
@@ -86,7 +86,7 @@ def _is_side(job, geom, asked, index):
 def write_contacts(job, s, row, C, D):
     """Slots of a contact sensor; False when a contact in one of them has no closed form by position."""
     fields, reduction = integers(job.sen_fields, job.nsensor)[s], integers(job.sen_reduction, job.nsensor)[s]
-    dim, width, unknown = integers(job.sen_dim, job.nsensor)[s], 0, types.int64(0)
+    dim, width, unknown = integers(job.sen_dim, job.nsensor)[s], 0, np.int64(0)
     for field in range(columns.FIELDS):
         width += _width(field) * ((fields >> field) & 1)
     clear_rows(C, D, row, dim)
@@ -97,7 +97,7 @@ def write_contacts(job, s, row, C, D):
         slot = 0 if reduction == columns.NET_FORCE else _slot(job, s, j, reduction)
         if way == 0 or slot * width >= dim:
             continue
-        if is_differenced(job, types.int32(FRICTIONLESS), types.int32(j)):
+        if is_differenced(job, np.int32(FRICTIONLESS), np.int32(j)):
             unknown += 1
         at = row + slot * width
         for field in range(columns.FIELDS):
@@ -108,7 +108,7 @@ def write_contacts(job, s, row, C, D):
                     _write_geometry(job, field, way, at, contact, C)
                 at += _width(field)
     if reduction == columns.NET_FORCE and (fields >> columns.CONTACT_FORCE) & 1:
-        add_acceleration(job, row + (fields & 1), types.int64(3), C, D)
+        add_acceleration(job, row + (fields & 1), np.int64(3), C, D)
     return unknown == 0
 
 
@@ -160,11 +160,9 @@ def _write_contact_force(job, s, field, way, reduction, row, contact, C, D):
         put6(weights, k, join(zero, axis) if field == columns.CONTACT_FORCE else join(axis, zero))
     if not net:
         clear_lever(job)
-    add_contact_reading(
-        job, s, types.int64(IN_WORLD if net else IN_CONTACT), row, types.int64(3), r, of, rows, contact, C
-    )
+    add_contact_reading(job, s, np.int64(IN_WORLD if net else IN_CONTACT), row, np.int64(3), r, of, rows, contact, C)
     if not net:
-        add_acceleration(job, row, types.int64(3), C, D)
+        add_acceleration(job, row, np.int64(3), C, D)
 
 
 @compiled

@@ -6,7 +6,7 @@ What the acceleration does to s goes into the lever of `accelerations`.
 
 from __future__ import annotations
 
-from numba import types
+import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.readings.accelerations import add_acceleration, clear_lever
 from mjslq.dynamics.mujoco.inverse.readings.frames import clear_rows
@@ -20,7 +20,7 @@ from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, 
 def write_limit(job, s, kind, row, C, D):
     """Distance, velocity or force of a joint's or tendon's limit."""
     wanted, index = integers(job.sen_reference, job.nsensor)[s], integers(job.sen_target, job.nsensor)[s]
-    rows = types.int64(entry_count(job.data + job.at_nefc))
+    rows = np.int64(entry_count(job.data + job.at_nefc))
     kinds = flags(entry_address(job.data + job.at_efc_type), rows)
     ids = flags(entry_address(job.data + job.at_efc_id), rows)
     dofs, values = integers(job.dofs, job.nv), vector(job.values, job.nv)
@@ -36,7 +36,7 @@ def write_limit(job, s, kind, row, C, D):
                     C[row, job.nv + dofs[k]] = values[k]
             if kind == columns.LIMIT_FORCE:
                 _write_limit_force(job, r, size, row, C)
-                add_acceleration(job, row, types.int64(1), C, D)
+                add_acceleration(job, row, np.int64(1), C, D)
             return
 
 

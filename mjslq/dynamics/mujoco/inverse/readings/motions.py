@@ -23,7 +23,7 @@ linear part of I^C_k S_i / mass.
 
 from __future__ import annotations
 
-from numba import types
+import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.readings.accelerations import (
     add_acceleration,
@@ -96,7 +96,7 @@ def write_motions(job, C, D):
 def write_feelings(job, n, x, C, D):
     """C and D of the other sensors, of knot n, and limits of all readings; may leave mjData away from x."""
     kinds, first = integers(job.sen_kind, job.nsensor), integers(job.sen_adr, job.nsensor)
-    on_contacts = types.int64(0)
+    on_contacts = np.int64(0)
     if job.sensors_accelerated:
         outward(job, vector(job.qvel, job.nv), vector(job.acc_c, job.nv))
         inward(job)
@@ -119,7 +119,7 @@ def write_feelings(job, n, x, C, D):
 @compiled
 def _write_force(job, s, kind, row, C, D):
     """Force, torque, touch; False when a contact has no closed form."""
-    count = types.int64(1 if kind == columns.TOUCH else 3)
+    count = np.int64(1 if kind == columns.TOUCH else 3)
     clear_rows(C, D, row, count)
     clear_lever(job)
     if kind != columns.TOUCH:

@@ -21,7 +21,7 @@ knot: `stages`. The rest holds for them too.
 
 from __future__ import annotations
 
-from numba import types
+import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.readings.frames import is_below, moves, pose
 from mjslq.dynamics.mujoco.inverse.rows.constraints import (
@@ -63,11 +63,9 @@ from mjslq.dynamics.mujoco.inverse.spatial import (
 )  # fmt: skip
 from mjslq.dynamics.mujoco.inverse.table import columns
 from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import address_t, number_t
+from mjslq.native.declare import external
 
-mju_rayGeom = types.ExternalFunction(
-    "mju_rayGeom", number_t(address_t, address_t, address_t, address_t, address_t, types.int32, address_t)
-)
+mju_rayGeom = external("mju_rayGeom", "float64(intp, intp, intp, intp, intp, int32, intp)")
 
 IN_CONTACT, IN_WORLD, AT_SITE = range(3)
 """Whose axes a reading of forces is in."""
@@ -89,13 +87,13 @@ def bodies_of(job, contact):
 @compiled
 def rows_of(job, contact):
     """First row of a contact that pushes (-1 for one that does not), its type, their number."""
-    r = types.int64(flags(contact + job.at_contact_efc_address, 1)[0])
+    r = np.int64(flags(contact + job.at_contact_efc_address, 1)[0])
     if r < 0:
-        return r, types.int32(0), 0
+        return r, np.int32(0), 0
     kind = flags(entry_address(job.data + job.at_efc_type), r + 1)[r]
     dim = flags(contact + job.at_contact_dim, 1)[0]
     count = 2 * (dim - 1) if kind == PYRAMIDAL else dim
-    return r if pushes(job, r, count) else types.int64(-1), kind, count
+    return r if pushes(job, r, count) else np.int64(-1), kind, count
 
 
 @compiled
@@ -105,8 +103,8 @@ def add_pressures(job, s, kind, row, C):
     False if one has no closed form by position, where its columns are worth nothing.
     """
     weights, plain = matrix(job.covectors, 3, 18), kind == columns.TOUCH
-    seen, readings = types.int64(IN_CONTACT if plain else AT_SITE), types.int64(1 if plain else 3)
-    unknown = types.int64(0)
+    seen, readings = np.int64(IN_CONTACT if plain else AT_SITE), np.int64(1 if plain else 3)
+    unknown = np.int64(0)
     for j in range(entry_count(job.data + job.at_ncon)):
         contact = contact_at(job, j)
         r, of, count = rows_of(job, contact)
@@ -116,7 +114,7 @@ def add_pressures(job, s, kind, row, C):
         sign = _touches(job, s, contact, r, size) if kind == columns.TOUCH else _presses(job, s, contact)
         if sign == 0.0:
             continue
-        if is_differenced(job, of, types.int32(j)):
+        if is_differenced(job, of, np.int32(j)):
             unknown += 1
         if kind == columns.TOUCH:
             put6(weights, 0, join((0.0, 0.0, 0.0), row3(matrix(contact + job.at_contact_frame, 3, 3), 0)))
@@ -145,7 +143,7 @@ def _touches(job, s, contact, r, size):
         job.site_size + 24 * site,
         contact + job.at_contact_pos,
         job.small,
-        types.int32(integers(job.site_type, job.nsite)[site]),
+        np.int32(integers(job.site_type, job.nsite)[site]),
         0,
     )
     return 1.0 if meets >= 0.0 else 0.0

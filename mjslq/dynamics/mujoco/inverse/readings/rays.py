@@ -12,18 +12,12 @@ moves both moves nothing. The bends of surfaces do not matter to first order. A 
 
 from __future__ import annotations
 
-import numba
-from numba import types
-
 from mjslq.dynamics.mujoco.inverse.readings.frames import clear_rows
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, dot3, row3, row6, sub3, velocity_at
 from mjslq.dynamics.mujoco.inverse.table.job import flags, integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import address_t, number_t
+from mjslq.native.declare import external
 
-mj_ray = types.ExternalFunction(
-    "mj_ray",
-    number_t(address_t, address_t, address_t, address_t, address_t, types.uint8, types.int32, address_t, address_t),
-)
+mj_ray = external("mj_ray", "float64(intp, intp, intp, intp, intp, uint8, int32, intp, intp)")
 _GRAZING = 1e-9
 
 
@@ -38,8 +32,7 @@ def write_range(job, s, row, C, D):
         small[k], small[3 + k] = at[site, k], turn[site, 2 + 3 * k]
     hit = flags(job.small + 72, 1)
     t = mj_ray(
-        job.model, job.data, job.small, job.small + 24, 0, numba.uint8(1), numba.int32(body), job.small + 72,
-        job.small + 48,
+        job.model, job.data, job.small, job.small + 24, 0, 1, body, job.small + 72, job.small + 48
     )  # fmt: skip
     z, n = (small[3], small[4], small[5]), (small[6], small[7], small[8])
     slope = dot3(n, z)

@@ -17,7 +17,7 @@ Differences by a control stay within its limits, beyond which MuJoCo clamps it.
 
 from __future__ import annotations
 
-from numba import types
+import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.readings.frames import clear_rows
 from mjslq.dynamics.mujoco.inverse.rows.constraints import (
@@ -31,21 +31,21 @@ from mjslq.dynamics.mujoco.inverse.rows.differences import mj_comPos, mj_integra
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
 from mjslq.dynamics.mujoco.inverse.table import columns
 from mjslq.dynamics.mujoco.inverse.table.job import entry_count, integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import address_t, copy_into, void_t
+from mjslq.dynamics.mujoco.kernels import copy_into
+from mjslq.native.declare import external
 
-_step = void_t(address_t, address_t)
-mj_camlight = types.ExternalFunction("mj_camlight", _step)
-mj_transmission = types.ExternalFunction("mj_transmission", _step)
-mj_makeM = types.ExternalFunction("mj_makeM", _step)
-mj_energyPos = types.ExternalFunction("mj_energyPos", _step)
-mj_energyVel = types.ExternalFunction("mj_energyVel", _step)
-mj_fwdVelocity = types.ExternalFunction("mj_fwdVelocity", _step)
-mj_fwdActuation = types.ExternalFunction("mj_fwdActuation", _step)
-mj_rnePostConstraint = types.ExternalFunction("mj_rnePostConstraint", _step)
-mj_subtreeVel = types.ExternalFunction("mj_subtreeVel", _step)
-mj_sensorPos = types.ExternalFunction("mj_sensorPos", _step)
-mj_sensorVel = types.ExternalFunction("mj_sensorVel", _step)
-mj_sensorAcc = types.ExternalFunction("mj_sensorAcc", _step)
+mj_camlight = external("mj_camlight", "void(intp, intp)")
+mj_transmission = external("mj_transmission", "void(intp, intp)")
+mj_makeM = external("mj_makeM", "void(intp, intp)")
+mj_energyPos = external("mj_energyPos", "void(intp, intp)")
+mj_energyVel = external("mj_energyVel", "void(intp, intp)")
+mj_fwdVelocity = external("mj_fwdVelocity", "void(intp, intp)")
+mj_fwdActuation = external("mj_fwdActuation", "void(intp, intp)")
+mj_rnePostConstraint = external("mj_rnePostConstraint", "void(intp, intp)")
+mj_subtreeVel = external("mj_subtreeVel", "void(intp, intp)")
+mj_sensorPos = external("mj_sensorPos", "void(intp, intp)")
+mj_sensorVel = external("mj_sensorVel", "void(intp, intp)")
+mj_sensorAcc = external("mj_sensorAcc", "void(intp, intp)")
 
 POSITION, VELOCITY, ACCELERATION = 1, 2, 3
 """Stages, as MuJoCo numbers them; those of positions and velocities own as many columns as there are dofs."""
@@ -78,12 +78,12 @@ def difference_stages(job, n, x, on_contacts, C, D):
     Leaves mjData away from x.
     """
     dims, first = integers(job.sen_dim, job.nsensor), integers(job.sen_adr, job.nsensor)
-    kinds, reach = integers(job.sen_kind, job.nsensor), types.int64(0)
+    kinds, reach = integers(job.sen_kind, job.nsensor), np.int64(0)
     for s in range(job.nsensor):
         reach = max(reach, _reach(job, s, on_contacts))
         if kinds[s] == columns.BY_DIFFERENCES:
             clear_rows(C, D, first[s], dims[s])
-    _evaluate(job, x, types.int64(-1), 0.0, max(reach, ACCELERATION * job.sensors_cut), types.int64(POSITION))
+    _evaluate(job, x, np.int64(-1), 0.0, max(reach, ACCELERATION * job.sensors_cut), np.int64(POSITION))
     copy_into(vector(job.sensordata, job.ny), vector(job.middle, job.ny))
     # what is varied last need not be put back
     for start in range(max(job.sensors_differenced, min(reach, POSITION)), 0, -1):

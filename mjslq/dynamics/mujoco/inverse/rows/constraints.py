@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import math
 
-from numba import types
+import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.rows.contacts import add_contact
 from mjslq.dynamics.mujoco.inverse.rows.equalities import add_tie
@@ -36,18 +36,15 @@ from mjslq.dynamics.mujoco.inverse.rows.impedance import fold_references
 from mjslq.dynamics.mujoco.inverse.spatial import add3, compiled, cross3, dot3, inlined, scale3, sub3
 from mjslq.dynamics.mujoco.inverse.table.columns import BY_LENGTHS, CONNECT, FIELD, PLANE, UNKNOWN, WELD
 from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import address_t, void_t
+from mjslq.native.declare import external
 
-_step = void_t(address_t, address_t)
-mj_tendon = types.ExternalFunction("mj_tendon", _step)
-mj_collision = types.ExternalFunction("mj_collision", _step)
-mj_makeConstraint = types.ExternalFunction("mj_makeConstraint", _step)
-mj_comVel = types.ExternalFunction("mj_comVel", _step)
-mj_referenceConstraint = types.ExternalFunction("mj_referenceConstraint", _step)
-mj_mulJacVec = types.ExternalFunction("mj_mulJacVec", void_t(address_t, address_t, address_t, address_t))
-mj_constraintUpdate = types.ExternalFunction(
-    "mj_constraintUpdate", void_t(address_t, address_t, address_t, address_t, types.int32)
-)
+mj_tendon = external("mj_tendon", "void(intp, intp)")
+mj_collision = external("mj_collision", "void(intp, intp)")
+mj_makeConstraint = external("mj_makeConstraint", "void(intp, intp)")
+mj_comVel = external("mj_comVel", "void(intp, intp)")
+mj_referenceConstraint = external("mj_referenceConstraint", "void(intp, intp)")
+mj_mulJacVec = external("mj_mulJacVec", "void(intp, intp, intp, intp)")
+mj_constraintUpdate = external("mj_constraintUpdate", "void(intp, intp, intp, intp, int32)")
 
 # mjtConstraint and mjtConstraintState
 EQUALITY, FRICTION_DOF, FRICTION_TENDON, LIMIT_JOINT, LIMIT_TENDON, FRICTIONLESS, PYRAMIDAL, ELLIPTIC = range(8)
@@ -142,7 +139,7 @@ def add_rows(job, acc, F, G):
     jar = vector(entry_address(job.data + job.at_efc_vel), rows)
     dofs, values = integers(job.dofs, job.nv), vector(job.values, job.nv)
     nv, rest = job.nv, False
-    r = types.int64(0)  # a literal zero would have all that it is passed to compiled once more
+    r = np.int64(0)  # a literal zero would have all that it is passed to compiled once more
     while r < rows:
         kind = kinds[r]
         if kind == ELLIPTIC and states[r] == CONE:

@@ -7,8 +7,6 @@ such rows touch are varied.
 
 from __future__ import annotations
 
-from numba import types
-
 from mjslq.dynamics.mujoco.inverse.rows.constraints import (
     EQUALITY,
     SATISFIED,
@@ -23,11 +21,12 @@ from mjslq.dynamics.mujoco.inverse.rows.pairs import WIDTH
 from mjslq.dynamics.mujoco.inverse.rows.weights import weigh_rows
 from mjslq.dynamics.mujoco.inverse.spatial import compiled
 from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, integers, vector
-from mjslq.dynamics.mujoco.kernels import address_t, copy_into, number_t, void_t
+from mjslq.dynamics.mujoco.kernels import copy_into
+from mjslq.native.declare import external
 
-mj_kinematics = types.ExternalFunction("mj_kinematics", void_t(address_t, address_t))
-mj_comPos = types.ExternalFunction("mj_comPos", void_t(address_t, address_t))
-mj_integratePos = types.ExternalFunction("mj_integratePos", void_t(address_t, address_t, address_t, number_t))
+mj_kinematics = external("mj_kinematics", "void(intp, intp)")
+mj_comPos = external("mj_comPos", "void(intp, intp)")
+mj_integratePos = external("mj_integratePos", "void(intp, intp, intp, float64)")
 
 
 @compiled

@@ -22,8 +22,6 @@ from __future__ import annotations
 
 import math
 
-from numba import types
-
 from mjslq.dynamics.mujoco.inverse.forces.kinks import displacement, sign
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, inlined
 from mjslq.dynamics.mujoco.inverse.table.columns import (
@@ -36,9 +34,9 @@ from mjslq.dynamics.mujoco.inverse.table.columns import (
     TENDON_NUMBERS,
 )
 from mjslq.dynamics.mujoco.inverse.table.job import integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import address_t, void_t
+from mjslq.native.declare import external
 
-mju_subQuat = types.ExternalFunction("mju_subQuat", void_t(address_t, address_t, address_t))
+mju_subQuat = external("mju_subQuat", "void(intp, intp, intp)")
 
 
 @compiled

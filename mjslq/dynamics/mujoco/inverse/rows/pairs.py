@@ -16,14 +16,12 @@ import math
 from typing import Any
 
 import mujoco
-import numba
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
+import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, cross3, dot3, inlined, row3, sub3
 from mjslq.dynamics.mujoco.inverse.table.columns import CYLINDER, ELLIPSOID
 from mjslq.dynamics.mujoco.inverse.table.job import entry_address, entry_count, flags, integers, matrix, vector
+from mjslq.native.declare import intrinsic
 
 MOST = int(mujoco.mjMAXCONPAIR)
 """Contacts that two geoms can have."""
@@ -36,19 +34,16 @@ _REACH, _TURN = 1e3, 1e4
 """How far a contact, and its normal, may move and still be the same, in units of the width."""
 
 
-@intrinsic
-def _collide(
-    typing_context: Any, function: Any, model: Any, data: Any, found: Any, g1: Any, g2: Any, margin: Any
-) -> Any:
-    """Call one of MuJoCo's collision functions, given by its address."""
-    word, integer = types.int64, types.int32
+def _call(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    from llvmlite import ir
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        i64, i32 = ir.IntType(64), ir.IntType(32)
-        kind = ir.FunctionType(i32, [i64, i64, i64, i32, i32, ir.DoubleType()])
-        return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
+    i64, i32 = ir.IntType(64), ir.IntType(32)
+    kind = ir.FunctionType(i32, [i64, i64, i64, i32, i32, ir.DoubleType()])
+    return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
 
-    return integer(word, word, word, word, integer, integer, types.float64), generate
+
+_collide = intrinsic(_call, "int32(int64, int64, int64, int64, int32, int32, float64)")
+"""Call one of MuJoCo's collision functions, given by its address: (function, model, data, found, g1, g2, margin)."""
 
 
 @compiled
@@ -90,9 +85,7 @@ def fill_by_differences(job, first):
         for side in range(2 if job.centered else 1):
             _move(k, -eps if side else eps, pivot, place, pose, xpos, xmat)
             into = job.found + 8 * MOST * _PRECONTACT * side
-            touching = _collide(
-                function, job.model, job.data, into, numba.int32(geoms[0]), numba.int32(geoms[1]), margin
-            )
+            touching = _collide(function, job.model, job.data, into, np.int32(geoms[0]), np.int32(geoms[1]), margin)
             plus, minus = (plus, touching) if side else (touching, minus)
         for c in range(count):
             contact, table = first + c * size, matrix(job.tables + 8 * 42 * c, 6, 7)
@@ -129,8 +122,9 @@ def _move(k, eps, pivot, place, pose, xpos, xmat):
         xpos[k - 3] += eps
         return
     i, j, sine, cosine = (k + 1) % 3, (k + 2) % 3, math.sin(eps), math.cos(eps)
-    xpos[i] = pivot[i] + cosine * r[i] - sine * r[j]
-    xpos[j] = pivot[j] + sine * r[i] + cosine * r[j]
+    along, across = _entry(r, i), _entry(r, j)
+    xpos[i] = _entry(pivot, i) + cosine * along - sine * across
+    xpos[j] = _entry(pivot, j) + sine * along + cosine * across
     for c in range(3):
         xmat[3 * i + c] = cosine * pose[3 * i + c] - sine * pose[3 * j + c]
         xmat[3 * j + c] = sine * pose[3 * i + c] + cosine * pose[3 * j + c]
@@ -143,6 +137,12 @@ def _width(job, geoms):
     one, other = kinds[geoms[0]], kinds[geoms[1]]
     round_ = one in (ELLIPSOID, CYLINDER) or other in (ELLIPSOID, CYLINDER)
     return WIDTH * job.eps * (_COARSER if round_ else 1.0)
+
+
+@inlined
+def _entry(a, i):
+    """Entry i of three numbers; an index into a tuple may raise an exception, which kernels must not."""
+    return a[0] if i == 0 else a[1] if i == 1 else a[2]
 
 
 @compiled

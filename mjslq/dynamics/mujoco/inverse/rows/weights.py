@@ -21,7 +21,7 @@ Rows that are differenced by position see M and s frozen there: that part is ana
 
 from __future__ import annotations
 
-from numba import types
+import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.rows.constraints import (
     CONE,
@@ -60,7 +60,7 @@ def weigh_rows(job):
     KBIP = matrix(entry_address(job.data + job.at_efc_KBIP), rows, 4)
     R, D = vector(entry_address(job.data + job.at_efc_R), rows), vector(entry_address(job.data + job.at_efc_D), rows)
     dofs, values = integers(job.dofs, job.nv), vector(job.values, job.nv)
-    r = types.int64(0)  # as in `add_rows`
+    r = np.int64(0)  # as in `add_rows`
     while r < rows:
         count = _group_size(job, kinds[r], ids[r])
         bare, full = _diagonals(job, dofs, values, read_row(job, r, dofs, values))
@@ -94,7 +94,7 @@ def add_weight_changes(job, F):
     change, total = vector(job.row_change, job.columns), vector(job.plus, job.nv)
     # forces that are linear in all that s depends on leave s a constant
     columns = job.columns if job.bends else job.nv
-    prepared, r = False, types.int64(0)
+    prepared, r = False, np.int64(0)
     while r < rows:
         count = _group_size(job, kinds[r], ids[r])
         if _sum_forces(job, r, count, total) and _is_weighted(job, r):

@@ -22,12 +22,12 @@ the arrays that it needs of it, with `integers`, `vector`, `matrix`: that is fre
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from mjslq.dynamics.mujoco.inverse.table.columns import FORCE_NUMBERS
 from mjslq.dynamics.mujoco.inverse.table.layout import ARENA, CONTACT, COUNTS
-from mjslq.dynamics.mujoco.kernels import pointer
+from mjslq.native.declare import helper
+from mjslq.native.memory import carray, pointer
 
 SIZES = (
     "N", "first", "last", "substeps",
@@ -81,7 +81,7 @@ WORK: dict[str, tuple[int | str, int | str]] = {
     "fluid_U": ("nbody", 6), "fluid_X": (6, 6), "fluid_B": (18, 6), "fluid_local": (4, 6), "fluid_complex": (16, 6),
     "acc_rate": ("nv", "columns"), "lever": ("nv", 3), "covectors": (3, 18), "reading": ("ny", 1), "middle": ("ny", 1),
     "tables": (306, 7), "tabulated": (2, 6), "found": (100, 10), "chained": ("columns", "columns"),
-    "product": ("columns", "columns"),
+    "product": ("columns", "columns"), "no_control": ("nu", 1),
 }  # fmt: skip
 """Shapes of the arrays for intermediate results."""
 INDICES = ("dofs", "chain", "marked", "member", "spinning")
@@ -107,37 +107,37 @@ JOB = np.dtype(
 """One row of this per worker."""
 
 
-@numba.njit(forceinline=True)
+@helper(forceinline=True)
 def integers(address, size):
     """Array of 64-bit integers at an address. Shape (size,)."""
-    return numba.carray(pointer(address), (size,), np.int64)
+    return carray(pointer(address), (size,), np.int64)
 
 
-@numba.njit(forceinline=True)
+@helper(forceinline=True)
 def vector(address, size):
     """Array of numbers at an address. Shape (size,)."""
-    return numba.carray(pointer(address), (size,), np.float64)
+    return carray(pointer(address), (size,), np.float64)
 
 
-@numba.njit(forceinline=True)
+@helper(forceinline=True)
 def matrix(address, rows, columns):
     """Matrix of numbers at an address. Shape (rows, columns)."""
-    return numba.carray(pointer(address), (rows, columns), np.float64)
+    return carray(pointer(address), (rows, columns), np.float64)
 
 
-@numba.njit(forceinline=True)
+@helper(forceinline=True)
 def flags(address, size):
     """Array of C integers at an address. Shape (size,)."""
-    return numba.carray(pointer(address), (size,), np.int32)
+    return carray(pointer(address), (size,), np.int32)
 
 
-@numba.njit(forceinline=True)
+@helper(forceinline=True)
 def entry_address(address):
     """Pointer that is kept at an address."""
-    return numba.carray(pointer(address), (1,), np.int64)[0]
+    return carray(pointer(address), (1,), np.int64)[0]
 
 
-@numba.njit(forceinline=True)
+@helper(forceinline=True)
 def entry_count(address):
     """C integer that is kept at an address."""
-    return numba.carray(pointer(address), (1,), np.int32)[0]
+    return carray(pointer(address), (1,), np.int32)[0]

@@ -1,0 +1,77 @@
+"""What a kernel's code depends on: its module, all that this imports from mjslq, and MuJoCo's numbers.
+
+Compiled code holds copies of everything that it refers to: functions, constants of other modules, layouts of records,
+and numbers of MuJoCo's. Where any of these files has changed, or another MuJoCo is installed, it is stale.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import re
+import time
+from importlib import metadata
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+"""Folder of the package."""
+_OWN = ("mjslq.native.declare", "mjslq.native.emit", "mjslq.native.memory")
+"""Modules whose text decides what is made of any kernel."""
+_IMPORT = re.compile(r"^(?:from\s+(mjslq[\w.]*)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+(mjslq[\w.]*))", re.MULTILINE)
+"""Imports that are not indented: those for types only, and those inside of functions, do not count."""
+_MUJOCO = re.compile(r"^(?:import|from)\s+mujoco\b", re.MULTILINE)
+
+
+_START = time.time()
+
+
+@functools.cache
+def checksum(module: str) -> str | None:
+    """Checksum of all that the kernels in `module` depend on; None where a file was changed since it was imported."""
+    total, texts = hashlib.sha256(), {}
+    waiting = [*_OWN, module]
+    while waiting:
+        name = waiting.pop()
+        if name not in texts:
+            texts[name] = _text(name)
+            waiting += _imported(texts[name])
+    for name in sorted(texts):
+        total.update(name.encode() + b"\0" + texts[name].encode() + b"\0")
+    if any(path.stat().st_mtime > _START for path in map(_path, texts) if path is not None):
+        return None
+    if any(_MUJOCO.search(text) for text in texts.values()):
+        total.update(metadata.version("mujoco").encode())
+    return total.hexdigest()
+
+
+def _imported(text: str) -> list[str]:
+    """Modules of mjslq that a module imports at its head."""
+    found = []
+    for match in _IMPORT.finditer(text):
+        home, names, whole = match.groups()
+        if whole:
+            found.append(whole)
+            continue
+        parts = re.findall(r"[\w]+", re.sub(r"#[^\n]*|\bas\s+\w+", "", names))
+        modules = [f"{home}.{part}" for part in parts if _path(f"{home}.{part}") is not None]
+        found += modules
+        if len(modules) < len(parts):
+            found.append(home)
+    return found
+
+
+def _path(module: str) -> Path | None:
+    """File of a module, None where there is no such module."""
+    place = ROOT.joinpath(*module.split(".")[1:])
+    for path in (place.with_name(place.name + ".py"), place / "__init__.py"):
+        if path.is_file():
+            return path
+    return None
+
+
+@functools.cache
+def _text(module: str) -> str:
+    path = _path(module)
+    if path is None:
+        raise FileNotFoundError(f"no module {module} of mjslq is at {ROOT}")
+    return path.read_text(encoding="utf-8")  # with the same ends of lines on all systems
