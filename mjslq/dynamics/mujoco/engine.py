@@ -391,16 +391,19 @@ class MujocoDynamics(Dynamics):
         return self._inverse.linearize(trajectory.X, trajectory.U, substates, trajectory.X[1:])
 
     def _linearize_transition(self, trajectory: Trajectory) -> Linearization:
+        from mjslq.dynamics.mujoco import step_differences as differences
         from mjslq.dynamics.mujoco.inverse.table.continuous import is_runge_kutta
-        from mjslq.dynamics.mujoco.step_differences import centred_differences, centred_transition, step_differences
 
-        X, U = trajectory.X, trajectory.U
+        X, U, system = trajectory.X, trajectory.U, (self.simulator, self.space, self.control_limits)
         if is_runge_kutta(self.model):
-            one_sided = partial(step_differences, self.simulator, self.space, self.control_limits)
-            return centred_differences(one_sided, X, U, self._eps, outputs=self.ny > 0)
+            one_sided, along = (
+                partial(differences.step_differences, *system),
+                partial(differences.step_columns, *system, X, U),
+            )
+            return differences.centred_differences(one_sided, X, U, self._eps, self.ny > 0, along)
         S = self.simulator.known_substates(trajectory)
         if self._centered:
-            return centred_transition(self.simulator, X, U, S, self._eps)
+            return differences.centred_transition(*system, X, U, S, self._eps)
         return self.simulator.transition(X, U, self._eps, S)
 
     def _keyframe_index(self, name: str) -> int:
