@@ -56,6 +56,24 @@ def test_older_convex_collisions_are_left_to_transition():
     assert MujocoDynamics.from_model(model).jacobian == "inverse"
 
 
+FALLING = """<mujoco><option noslip_iterations="5"/><worldbody><geom type="plane" size="1 1 1" condim="{dim}"/>
+  <body pos="0 0 .099"><freejoint/><geom size=".1" condim="1"/><body><joint axis="1 0 0" {joint}/>
+  <geom size=".05" pos=".2 0 0" contype="0" conaffinity="0"/></body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("dim, joint, served", [(1, "", "inverse"), (3, "", "transition"),
+                                                (1, 'frictionloss=".1"', "transition")])  # fmt: skip
+def test_noslip_iterations_matter_where_there_is_friction(dim, joint, served):
+    """Without it the step is the same to the last bit, which the Jacobians through the inverse dynamics rely on."""
+    dynamics = MujocoDynamics.from_xml(FALLING.format(dim=dim, joint=joint))
+    assert dynamics.jacobian == served
+    plain = MujocoDynamics.from_xml(FALLING.format(dim=dim, joint=joint).replace('"5"', '"0"'))
+    x0 = dynamics.initial_state
+    x0[dynamics.model.nq :] = 0.3, 0.1, -0.2, 0.5, 0.4, 0.3, 1.0
+    ours, theirs = (system.rollout(x0, np.zeros((20, 0))).X for system in (dynamics, plain))
+    assert (ours == theirs).all() == (served == "inverse")
+
+
 def test_ipc_contacts_are_refused():
     model = mujoco.MjModel.from_xml_string(xml())
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_IPC

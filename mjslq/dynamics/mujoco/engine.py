@@ -65,7 +65,9 @@ class MujocoDynamics(Keyframes, Dynamics):
         How `linearize` works: "inverse" differentiates the inverse dynamics of the step, analytically wherever
         possible, and covers most models (those with the integrator RK4 by chaining its four stages); "transition"
         takes differences of the step, by mjd_transitionFD or, with RK4, by plain simulation, many times slower, and
-        covers all; "auto" is "inverse" where that covers the model. `support_report` says which, and why.
+        covers all; "auto" is "inverse" wherever that covers the model. What "inverse" differences is single forces,
+        rows and readings, without a step; so it is faster on all models that were measured, by the least where
+        adhesive bodies or wrapped tendons leave many. `support_report` says which, and why.
     threads
         How many threads `linearize` may use; None for one per usable core.
     eps, centered
@@ -409,16 +411,19 @@ class MujocoDynamics(Keyframes, Dynamics):
         return self._inverse.linearize(trajectory.X, trajectory.U, substates, trajectory.X[1:])
 
     def _linearize_transition(self, trajectory: Trajectory) -> Linearization:
+        from mjslq.dynamics.mujoco import step_differences as differences
         from mjslq.dynamics.mujoco.inverse.table.continuous import is_runge_kutta
-        from mjslq.dynamics.mujoco.step_differences import centred_differences, centred_transition, step_differences
 
-        X, U = trajectory.X, trajectory.U
+        X, U, system = trajectory.X, trajectory.U, (self.simulator, self.space, self.control_limits)
         if is_runge_kutta(self.model):
-            one_sided = partial(step_differences, self.simulator, self.space, self.control_limits)
-            return centred_differences(one_sided, X, U, self._eps, outputs=self.ny > 0)
+            one_sided, along = (
+                partial(differences.step_differences, *system),
+                partial(differences.step_columns, *system, X, U),
+            )
+            return differences.centred_differences(one_sided, X, U, self._eps, self.ny > 0, along)
         S = self.simulator.known_substates(trajectory)
         if self._centered:
-            return centred_transition(self.simulator, X, U, S, self._eps)
+            return differences.centred_transition(*system, X, U, S, self._eps)
         return self.simulator.transition(X, U, self._eps, S)
 
 

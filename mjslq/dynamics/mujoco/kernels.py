@@ -210,13 +210,18 @@ def step_each(_model, _data, worker, jobs):
     nx, nu, ny, between = job.nq + job.nv + job.na, job.nu, job.ny, job.substeps - 1
     X, U, Y = _matrix(job.X, job.N + 1, nx), _matrix(job.U, job.N, nu), _matrix(job.Y, job.N + 1, ny)
     ctrl, sensors, time = _vector(job.ctrl, nu), _vector(job.sensors, ny), _vector(job.work, 1)
+    warmstart = _vector(job.warmstart, job.nv)
+    mj_resetData(job.model, job.data)
     for n in range(job.first, job.last):
-        mj_resetData(job.model, job.data)
+        for i in range(job.nv):  # all that a step leaves behind for the next, besides the state
+            warmstart[i] = 0.0
         time[0] = n * job.dt
         mj_setState(job.model, job.data, time.ctypes.data, TIME)
         _load(job, X[n])
         if n == job.N:
-            mj_forward(job.model, job.data)  # reset has left no control
+            for i in range(nu):
+                ctrl[i] = 0.0
+            mj_forward(job.model, job.data)
             copy_into(sensors, Y[n])
             return
         copy_into(U[n], ctrl)
@@ -226,6 +231,7 @@ def step_each(_model, _data, worker, jobs):
                 _vector(end, nx)[i] = np.nan
             for i in range(between * nx):
                 _vector(S, between * nx)[i] = np.nan
+            mj_resetData(job.model, job.data)
 
 
 @helper(forceinline=True)
