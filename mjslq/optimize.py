@@ -126,8 +126,9 @@ def solve(
     method : str
         One of `methods()`; "ilqr" is another name for "slq".
     guess : Result, Trajectory, Policy or array
-        What to start from: a result or a policy is followed under its feedback, a trajectory's controls are taken;
-        an array holds controls, as U0, or states, as X0.
+        What to start from: a result or a policy is followed under its feedback, a trajectory's controls are taken; an
+        array holds controls, as U0, or states, as X0. Multipliers that a result has for constraints of the same names
+        and shapes are taken as well.
     U0 : array
         Controls to start from; the problem's own start unless given. Shape (N, nu) | (nu,).
     X0 : array
@@ -201,7 +202,9 @@ def solve(
             here = Iterate(problem, problem.dynamics.rollouts(start.x0[None], start.U[None])[0])
         else:
             here = Iterate.guess(problem, start.X, start.U)
-        outcome = descend(here, chosen.make(record), stopping, monitor, interrupts)
+        made = chosen.make(record)
+        made.warm_start(start.multipliers)
+        outcome = descend(here, made, stopping, monitor, interrupts)
         remarks = [start.remark, routed, outcome.remark]
         result = _result(outcome, monitor, problem, method, asdict(stopping) | asdict(record), remarks)
     if verbose:

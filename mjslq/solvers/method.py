@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from mjslq.solvers.iterate import Direction, Iterate
@@ -46,6 +47,10 @@ class Method(ABC):
 
     tests_direction: bool = True
     """Whether a short direction is a sign of convergence."""
+
+    def warm_start(self, multipliers: Mapping[str, Array]) -> None:
+        """Take multipliers of constraints from an earlier result, by the constraint's name; most methods have none."""
+        return
 
     def begin(self, start: Iterate) -> Iterate:
         """What to start from: a method that changes the cost gives the same trajectory with another problem."""
