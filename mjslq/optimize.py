@@ -285,6 +285,7 @@ def _result(
         constraint_violation=outcome.duals.violation,
         violations=outcome.duals.violations,
         multipliers=limits | outcome.duals.multipliers,
+        knots={c.name: c.seen_at for c in problem.bound_constraints},
         log=tuple(monitor.log),
         iterates=tuple(monitor.iterates),
         seconds=monitor.seconds,
