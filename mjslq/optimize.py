@@ -148,8 +148,9 @@ def solve(
     method : str
         One of `methods()`; "ilqr" is another name for "slq".
     guess : Result, Trajectory, Policy or array
-        What to start from: a result or a policy is followed under its feedback, a trajectory's controls are taken;
-        an array holds controls, as U0, or states, as X0.
+        What to start from: a result or a policy is followed under its feedback, a trajectory's controls are taken; an
+        array holds controls, as U0, or states, as X0. Multipliers that a result has for constraints of the same names
+        and shapes are taken as well.
     U0 : array
         Controls to start from; the problem's own start unless given. Shape (N, nu) | (nu,).
     X0 : array
@@ -224,7 +225,13 @@ def solve(
             here = Iterate(problem, problem.dynamics.rollouts(start.x0[None], start.U[None])[0])
         else:
             here = Iterate.guess(problem, start.X, start.U)
-        outcome = descend_with_foresight(here, lambda: chosen.make(record), stopping, monitor, interrupts)
+
+        def make() -> Method:
+            made = chosen.make(record)
+            made.warm_start(start.multipliers)
+            return made
+
+        outcome = descend_with_foresight(here, make, stopping, monitor, interrupts)
         remarks = [start.remark, routed, outcome.remark]
         result = _result(outcome, monitor, problem, method, asdict(stopping) | asdict(record), remarks)
     if verbose:
@@ -312,6 +319,7 @@ def _result(
         constraint_violation=outcome.duals.violation,
         violations=outcome.duals.violations,
         multipliers=limits | outcome.duals.multipliers,
+        knots={c.name: c.seen_at for c in problem.bound_constraints},
         log=tuple(monitor.log),
         iterates=tuple(monitor.iterates),
         seconds=monitor.seconds,

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mjslq.contact import Contact, Replay
 from mjslq.log import IterationLog
@@ -52,6 +53,8 @@ class Result:
     """Multipliers by the name of what they belong to: "controls" for the limits of the controls, positive at an upper
     limit and negative at a lower one, shape (N, nu); those of the constraints in the same way, one for each of the k
     knots where a constraint acts and each of its m entries, shape (k, m): -dJ/d(limit)."""
+    knots: dict[str, NDArray[np.int64]] = field(default_factory=dict)
+    """Knots that the multipliers of each constraint belong to, by its name. Whole numbers, shape (k,)."""
     log: tuple[IterationLog, ...] = ()
     """One entry an iteration, the start included."""
     iterates: tuple[Trajectory, ...] = ()

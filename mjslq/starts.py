@@ -10,6 +10,7 @@ contacts included: what the controls cannot move they leave alone.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,6 +38,8 @@ class Start(NamedTuple):
     """States that need not obey the dynamics, the first of them the problem's own. Shape (N + 1, nx)."""
     remark: str = ""
     """What was changed about the guess."""
+    multipliers: Mapping[str, Array] = {}
+    """Of the constraints, by name, where the guess is a result."""
 
 
 def hold(problem: Problem, x: ArrayLike | None = None) -> Array:
@@ -118,7 +121,9 @@ def read(problem: Problem, guess: Any, U0: ArrayLike | None, X0: ArrayLike | Non
     if guess is not None and (U0 is not None or X0 is not None):
         raise ValueError("give either guess or U0 and X0, not both")
     if isinstance(guess, Result):
-        guess = guess.policy if guess.gains is not None else guess.trajectory
+        multipliers = guess.multipliers
+        start = read(problem, guess.policy if guess.gains is not None else guess.trajectory, None, None)
+        return start._replace(multipliers=multipliers)
     x0 = np.asarray(problem.x0)
     if isinstance(guess, (Policy, Trajectory)) and guess.X.shape[1:] == x0.shape:
         x0 = problem.start(guess.X[0])

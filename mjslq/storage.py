@@ -2,7 +2,8 @@
 
     header        JSON: the format's version, the status, the log, all that is no array
     arrays        gains, lower, upper; trajectory_X, ..., iterates_X, ... (stacked; states between the knots only of
-                  the trajectory); violations and multipliers by name; the scene's model; the state's rotations
+                  the trajectory); violations, multipliers and their knots by name; the scene's model; the state's
+                  rotations
 
 Files of another version are refused in one sentence.
 """
@@ -37,6 +38,8 @@ PLAIN = (
     "method", "options", "parameters", "names", "error",
 )  # fmt: skip
 """Fields that JSON holds as they are."""
+NAMED = ("violations", "multipliers", "knots")
+"""Fields that are arrays by name."""
 _DAMAGED = (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile, zlib.error, NotImplementedError)
 """What a foreign or damaged file makes the readers of zip, npy and JSON raise."""
 
@@ -54,7 +57,7 @@ def save(result: Result, path: str | os.PathLike[str]) -> None:
         arrays["trajectory_substates"] = result.trajectory.substates[None]
     if result.iterates:
         arrays |= _pack("iterates", result.iterates)
-    for kind in ("violations", "multipliers"):
+    for kind in NAMED:
         arrays |= {f"{kind}/{name}": array for name, array in getattr(result, kind).items()}
     if result.scene is not None:
         arrays["scene_model"] = np.frombuffer(result.scene.model, dtype=np.uint8)
@@ -102,15 +105,14 @@ def _result_of(header: dict[str, Any], arrays: dict[str, Array]) -> Result:
         columns = tuple(int(i) for i in arrays["scene_columns"])
         lines = tuple((float(m), float(o)) for m, o in arrays.get("scene_lines", np.zeros((0, 2))))
         scene = Scene(arrays["scene_model"].tobytes(), columns, header["scene_name"], lines)
-    named: dict[str, dict[str, Array]] = {"violations": {}, "multipliers": {}}
+    named: dict[str, Any] = {kind: {} for kind in NAMED}
     for entry, array in arrays.items():
         kind, slash, name = entry.partition("/")
         if slash and kind in named:
             named[kind][name] = array
     return Result(
         **{name: header[name] for name in PLAIN if name != "names"},
-        violations=named["violations"],
-        multipliers=named["multipliers"],
+        **named,
         names={kind: tuple(entries) for kind, entries in header["names"].items()},
         status=Status(header["status"]),
         log=tuple(IterationLog(**entry) for entry in header["log"]),

@@ -1,10 +1,15 @@
 """Newton on the constraints in force: its step against a dense system, how fast it ends, and what if it fails."""
 
+import dataclasses
+import json
+
 import numpy as np
 import pytest
 from constrained_problems import arm, bryson_denham, car, cart_pole, quadrotor, reentry, starts
+from typer.testing import CliRunner
 
-from mjslq import FunctionDynamics, Problem, solve
+from mjslq import FunctionDynamics, Problem, problems, solve
+from mjslq.cli import app
 from mjslq.constraints import Initial, Path, State, Terminal
 from mjslq.costs import Control
 from mjslq.costs import State as Near
@@ -153,3 +158,49 @@ def test_ten_starts_each(make, capsys):
         print(f"\n{make.__name__:14s} {np.median(sweeps):6.1f} {max(sweeps):4d}  violation {worst:.0e}  costs {costs}")
     assert all(result.success for result in found) and worst <= 1e-9
     assert np.median(sweeps) <= ASKED[make][0] and max(sweeps) <= ASKED[make][1]
+
+
+@pytest.mark.parametrize("make", [bryson_denham, cart_pole, car])
+def test_a_result_hands_its_multipliers_on(make):
+    """As in receding horizons: from a state nearby, a few steps do; without the multipliers it takes the rounds."""
+    problem = make()
+    result = solve(problem)
+    again = solve(problem, guess=result)
+    assert again.success and len(again.log) <= 2 and again.cost == pytest.approx(result.cost, rel=1e-9)
+    x0 = np.asarray(problem.x0)
+    moved = problem.at(x0 + 1e-3 * np.random.default_rng(0).standard_normal(x0.size))
+    warm, cold = solve(moved, guess=result), solve(moved, guess=result.policy)
+    assert warm.success and cold.success and warm.cost == pytest.approx(cold.cost, rel=1e-6)
+    assert len(warm.log) <= 5 < 20 < len(cold.log) and warm.constraint_violation <= 1e-9
+
+
+def test_multipliers_of_other_constraints_are_left_alone():
+    problem, ends = bryson_denham(), [0.0, -1.0]
+    result = solve(problem)
+    other = Problem(
+        problem.dynamics, 50, problem.x0, [Control(1.0)],
+        constraints=[State(None, [0.15, np.inf], name="roof"), State(ends, ends, "terminal", name="goal")],
+    )  # fmt: skip
+    assert solve(other, guess=result).cost == pytest.approx(solve(other).cost, rel=1e-6)
+    wrong = dataclasses.replace(result, multipliers={name: 1e3 * m for name, m in result.multipliers.items()})
+    assert solve(problem, guess=wrong).cost == pytest.approx(result.cost, rel=1e-6)  # the rounds come in
+
+
+def test_the_command_line_hands_options_of_constrained_on(monkeypatch):
+    monkeypatch.setattr(problems, "names", lambda: ["wall"])
+    monkeypatch.setattr(problems, "parameters", lambda name: {"limit": 0.1})
+    monkeypatch.setattr(problems, "get", lambda name, **values: bryson_denham(**values))
+    arguments = [
+        "solve",
+        "wall",
+        "--json",
+        "--set",
+        "tol_violation=1e-4",
+        "--set",
+        "penalty=0.1",
+        "--set",
+        "limit=0.12",
+    ]
+    told = json.loads(CliRunner().invoke(app, arguments).stdout)
+    assert told["success"] and told["method"] == "constrained"
+    assert told["options"]["tol_violation"] == 1e-4 and told["options"]["penalty"] == 0.1

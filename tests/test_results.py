@@ -46,6 +46,7 @@ def sample(**change):
         "lower": np.array([[-1.0 / 3.0, -math.inf]] * 3), "upper": np.array([[1.0 / 7.0, math.inf]] * 3),
         "constraint_violation": 5e-324, "violations": {"a gap/wide": rng.standard_normal(4)},
         "multipliers": {"controls": rng.standard_normal((3, 2)), "a gap/wide": rng.standard_normal(4)},
+        "knots": {"a gap/wide": np.arange(4)},
         "log": log, "iterates": (trajectory(), other), "seconds": 0.1 + 0.2, "compile_seconds": 1.0 / 9.0,
         "problem": "reach", "method": "slq", "options": {"tol": 1e-6, "eta": None}, "error": "Traceback\n  ...\n",
         "parameters": {"height": 2.5, "engine": "x"}, "space": StateSpace.of(4, 3, [(ROTATION, range(4), range(3))]),

@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mjslq.problem import Problem
+from mjslq.reports import in_force
 from mjslq.reports.limits import at_limits, describe
 from mjslq.result import Result
 
@@ -71,8 +72,8 @@ def print_summary(result: Result, problem: Problem) -> None:
     lines.add_row("|gradient|", f"{result.gradient_norm:.2e}")
     if limits := describe(result):
         lines.add_row("limits", limits)
-    if result.violations:
-        lines.add_row("constraints", _in_force(result))
+    if constraints := in_force.describe(result):
+        lines.add_row("constraints", constraints)
     if touching := contacts(result):
         lines.add_row("contact", touching)
     if problem.describe is not None and not result.trajectory.diverged:
@@ -88,16 +89,6 @@ def contacts(result: Result) -> str:
     return f"{result.contact}, largest penetration {1e3 * result.penetration:.1f} mm"
 
 
-def _in_force(result: Result) -> str:
-    """The constraints whose multipliers are not zero, and the largest violation of all."""
-    found = []
-    for name in result.violations:
-        knots = int((result.multipliers.get(name, np.zeros((0, 1))) != 0.0).any(axis=1).sum())
-        if knots:
-            found.append(f"{name!r} at {knots} {'knot' if knots == 1 else 'knots'}")
-    return f"in force: {', '.join(found) or 'none'}; largest violation {result.constraint_violation:.1e}"
-
-
 def as_dict(result: Result) -> dict[str, Any]:
     """The numbers of a result in JSON's types, None for what is not finite; arrays belong into the saved file."""
     names = (
@@ -110,6 +101,9 @@ def as_dict(result: Result) -> dict[str, Any]:
     found["limits"] = [
         {"control": entry.name, "limit": entry.limit, "side": entry.side, "spans": entry.spans}
         for entry in at_limits(result)
+    ]
+    found["constraints"] = [
+        {"name": entry.name, "knots": entry.knots, "multiplier": entry.largest} for entry in in_force.in_force(result)
     ]
     return _plain(found | {"final_state": result.trajectory.X[-1].tolist()})
 

@@ -23,9 +23,13 @@ Last steps
     4  after a round with e < 0.01 and t <= 1e-4, Newton's method on the constraints in force (`solvers.active_set`),
        from lambda+ to violations below `EXACT`; where it fails, the rounds go on, and 4 waits for a tenth of e and t
 
-It takes second derivatives where the rounds have taken them in, or where they are cheap. Without 4 the solve ends when
-all constraints are met within `tol_violation`, e is as small, and L has no slope left by the tests that all methods
-share: at such a point the gradient of L is that of the Lagrangian. Where the constraints are met, rounds end no more.
+The last steps take second derivatives where the rounds have taken them in, or where they are cheap. Without them the
+solve ends when all constraints are met within `tol_violation`, e is as small, and L has no slope left by the tests that
+all methods share: at such a point the gradient of L is that of the Lagrangian. Where the constraints are met, rounds
+end no more.
+
+A solve that starts from a result of the same constraints begins with 4, from its multipliers; where that fails, the
+rounds start with these multipliers, and with rho 100 times the largest of them.
 
 Infeasible: e above 0.9 of its least value in `STALLED` rounds, and rho at least 1e4 s. Then the solve starts anew from
 its start, twice at most, and then says so; it starts anew, too, where no step descends with any weight. It starts with
@@ -42,6 +46,7 @@ cost among those that meet the constraints.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -74,6 +79,8 @@ LEAST_SHARE = 1e-3
 """Least size of the cost, relative to that of the start."""
 NEAR_E, NEAR_T = 1e-2, 1e-4
 """Complementarity and tolerance of a round from which on the last steps are tried."""
+WARM = 100.0
+"""The weight to go on with from given multipliers: so many times the largest of them, scaled."""
 CHEAP = 20.0
 """Price of second derivatives, in linearizations, up to which the last steps use them in any case."""
 FAILURES = 4
@@ -112,10 +119,15 @@ class Constrained(Method):
         self._before: Iterate | None = None  # where the last steps began, while they are being made
         self._switch, self._lost = 1.0, False
         self._hopeless = False
+        self._given: Mapping[str, Array] = {}
         self._said = ""
 
+    def warm_start(self, multipliers: Mapping[str, Array]) -> None:
+        """See `Method.warm_start`."""
+        self._given = multipliers
+
     def begin(self, start: Iterate) -> Iterate:
-        """Put the losses of the first round into the cost."""
+        """Put the losses of the first round into the cost, or begin with the last steps where multipliers are given."""
         self._start = start
         self._scales = scales_of(start.problem, start)
         self._size = cost_size(start, self._scales)
@@ -124,7 +136,11 @@ class Constrained(Method):
         self._start_is_met = start.problem.violation(start.trajectory) <= self.options.tol_violation
         self._said = _fixed(start, self.options.tol_violation)
         self._hopeless = bool(self._said)
-        return self._restart()
+        here = self._restart()
+        constraints = start.problem.unpenalized.bound_constraints
+        given = [self._given.get(constraint.name) for constraint in constraints]
+        known = tuple(m for m, c in zip(given, constraints, strict=True) if m is not None and m.shape == c.lower.shape)
+        return self._warm(here, known) if known and len(known) == len(constraints) and not self._hopeless else here
 
     def direction(self, here: Iterate) -> Direction:
         """The direction of `auto` on L, or Newton's on the constraints in force."""
@@ -203,6 +219,16 @@ class Constrained(Method):
     def _round(self) -> Augmented:
         assert self._augmented is not None
         return self._augmented
+
+    def _warm(self, here: Iterate, multipliers: tuple[Array, ...]) -> Iterate:
+        """The last steps from given multipliers; the rounds start with them where these fail."""
+        largest = max(float(np.abs(m / s).max(initial=0.0)) for m, s in zip(multipliers, self._scales, strict=True))
+        rho = min(max(WARM * largest, self._first_rho), LARGEST * self._size)
+        self._augmented = Augmented.of(self._start.problem, multipliers, self._scales, rho)
+        self._t, self._before = NEAR_T, self._round.about(self._start)
+        there = self._newton.begin(here, multipliers, rho, self._curved)
+        self._keep(there)
+        return there
 
     @property
     def _curved(self) -> bool:

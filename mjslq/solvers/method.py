@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from mjslq.problem import Problem
@@ -50,6 +51,10 @@ class Method(ABC):
 
     def check(self, problem: Problem) -> None:
         """Raise ValueError where the options do not fit a problem; called before anything is solved."""
+        return
+
+    def warm_start(self, multipliers: Mapping[str, Array]) -> None:
+        """Take multipliers of constraints from an earlier result, by the constraint's name; most methods have none."""
         return
 
     def begin(self, start: Iterate) -> Iterate:

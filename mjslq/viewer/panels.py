@@ -1,6 +1,7 @@
 """Panels beside the robot: a summary, and plots with a mark at the time shown.
 
-A plot of controls shows their limits as dashed lines, and as bars on the time axis when each is at one of them.
+A plot of controls shows their limits as dashed lines, and as bars on the time axis when each is at one of them. Plots
+of constraints have bars where each is in force.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mjslq.reports import limits
+from mjslq.reports import in_force, limits
 from mjslq.result import Result
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
@@ -28,9 +29,12 @@ _SHARED, _DASH = "#9aa5b1", (5, 4)
 """Of the lines at limits."""
 _BAR = 0.035
 """Height of the bar that marks when a control is at a limit, relative to the axis."""
+_LEAST_VIOLATION = 1e-12
+"""What is plotted for a violation of zero."""
 _BAR_HEIGHT = 5
 """What a plot is higher by for each of them. [px]"""
 _LIMITS_NOTE = "dashed: limits; bars on the time axis: at a limit"
+_IN_FORCE_NOTE = "of the result; bars on the time axis: in force"
 _FONT = "font-size:12px;line-height:1.55"
 _GOOD, _FAIR = ("#1d7a4f", "#e3f4ea"), ("#94600b", "#fdf1dc")
 
@@ -60,6 +64,8 @@ def facts(result: Result) -> list[tuple[str, str]]:
         told.insert(4, ("violation", short(result.constraint_violation)))
     if at := limits.describe(result, brief=True):
         told.append(("at limits", at))
+    if held := in_force.in_force(result):
+        told.append(("in force", "; ".join(str(entry) for entry in held)))
     return told
 
 
@@ -200,7 +206,8 @@ class SignalPlot:
             f'<span style="opacity:.65;font-variant-numeric:tabular-nums">{value:.3g}</span></div>'
             for label, value, color in zip(self._group.labels, now, series.COLORS, strict=False)
         )
-        note = f'<div style="grid-column:1/-1;opacity:.65">{_LIMITS_NOTE}</div>' if self._curves.styles else ""
+        said = _IN_FORCE_NOTE if self._group.kind == "constraints" else _LIMITS_NOTE if self._curves.styles else ""
+        note = said and f'<div style="grid-column:1/-1;opacity:.65">{said}</div>'
         return (
             f'<div style="{_FONT};font-size:11px;display:grid;grid-template-columns:repeat(2,minmax(0,1fr));'
             f'gap:0 18px;padding:2px 14px 6px 12px">{entries}{note}</div>'
@@ -208,23 +215,42 @@ class SignalPlot:
 
 
 class CostPlot:
-    """Cost of each iteration, as its logarithm when it is positive and spans decades, with a mark at the one shown."""
+    """Cost of each iteration, as its logarithm when it is positive and spans decades, with a mark at the one shown.
+
+    Below it the largest violation, where there are constraints.
+    """
 
     def __init__(self, gui: viser.GuiApi, result: Result) -> None:
         """Add the plot to the current container."""
         iterations, costs = series.costs(result)
         logarithmic = bool((costs > 0.0).all()) and costs.max() > 10.0 * costs.min()
         values = np.log10(costs) if logarithmic else costs
+        self._plots = [_OverIterations(gui, iterations, values, "log10 cost" if logarithmic else "cost")]
+        iterations, violations = series.violations(result)
+        if result.violations and (violations > 0.0).any():
+            values = np.log10(np.maximum(violations, _LEAST_VIOLATION))
+            self._plots.append(_OverIterations(gui, iterations, values, "log10 violation"))
+
+    def mark(self, iteration: float) -> None:
+        """Move the mark to `iteration`."""
+        for plot in self._plots:
+            plot.mark(iteration)
+
+
+class _OverIterations:
+    """A curve over the iterations, with a mark."""
+
+    def __init__(self, gui: viser.GuiApi, iterations: Array, values: Array, label: str) -> None:
         self._curves = (iterations, values[:, None])
         self._range = series.value_range(values)
         self._plot = _uplot(
             gui,
             with_mark(*self._curves, float(iterations[-1]), self._range),
-            _strokes(("cost",), len(iterations) <= 40),
+            _strokes((label,), len(iterations) <= 40),
             (0.0, max(float(iterations[-1]), 1.0)),
             self._range,
             x_label="iteration",
-            y_label="log10 cost" if logarithmic else "cost",
+            y_label=label,
             whole=True,
         )
 

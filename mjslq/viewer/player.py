@@ -278,7 +278,7 @@ class Player:
         panel.dock_left()
         panel.set_width(_PLOTS_WIDTH if self._view is not None else 2.1 * _PLOTS_WIDTH)
         with panel.add_tab("Plots"):
-            for title, kind in (("States", "states"), ("Controls", "controls"), ("Outputs", "outputs")):
+            for title, kind in series.KINDS:
                 found = series.groups(result, kind, self._model)
                 if found:
                     self._plots.append(

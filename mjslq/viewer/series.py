@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mjslq.reports import in_force
 from mjslq.reports.limits import reached
 from mjslq.reports.units import control_kinds, state_kinds
 from mjslq.result import Result
@@ -19,6 +20,8 @@ from mjslq.viewer.motion import finite_knots
 PER_PLOT = 8
 """Curves in one plot at most."""
 
+KINDS = (("States", "states"), ("Controls", "controls"), ("Outputs", "outputs"), ("Constraints", "constraints"))
+"""What is plotted over time: title and kind."""
 COLORS = ("#2f6fb3", "#d6592b", "#2b8f6d", "#b04a8c", "#c29a1c", "#5b5fc7", "#7a8794", "#8c5a3c")
 """One a curve, told apart by lightness too. Length `PER_PLOT`."""
 
@@ -30,17 +33,26 @@ class Group:
     title: str
     """What the choice is called, unit included."""
     kind: str
-    """"states", "controls" or "outputs"."""
+    """"states", "controls", "outputs" or "constraints"."""
     columns: tuple[int, ...]
-    """Columns of the trajectory's X, U or Y."""
+    """Columns of the trajectory's X, U or Y, or of `data`."""
     labels: tuple[str, ...]
     """Name of each column."""
     unit: str
     """Unit of all of them; empty when unknown."""
+    data: Array | None = field(default=None, compare=False)
+    """Values at the knots that belong to the result, whichever iterate is shown. Shape (N + 1, columns)."""
 
 
 def groups(result: Result, kind: str, model: Any = None) -> list[Group]:
-    """Return the plots of `kind` ("states", "controls" or "outputs"); `model` gives the units of its coordinates."""
+    """Return the plots of `kind` ("states", "controls", "outputs" or "constraints").
+
+    `model` gives the units of its coordinates. Constraints have their multipliers, the largest at each knot, and their
+    violations.
+    """
+    if kind == "constraints":
+        named = {"multipliers": in_force.multipliers(result), "violations": result.violations}
+        return [group for title, columns in named.items() if columns for group in _of_constraints(title, columns)]
     size = _array(result.trajectory, kind).shape[1]
     letter = {"states": "x", "controls": "u", "outputs": "y"}[kind]
     given = tuple(result.names.get(kind, ()))
@@ -69,7 +81,7 @@ def curves(trajectory: Trajectory, group: Group) -> tuple[Array, Array]:
     Controls are held over their step, so each is given at both its ends: n = 2 N.
     """
     good = max(finite_knots(trajectory), 1)
-    values = _array(trajectory, group.kind)[:, list(group.columns)]
+    values = _values(trajectory, group)
     if group.kind == "controls":
         steps = min(max(good - 1, 1), len(values))
         times = np.stack([trajectory.times[:steps], trajectory.times[1 : steps + 1]], axis=1).ravel()
@@ -80,14 +92,14 @@ def curves(trajectory: Trajectory, group: Group) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the controls of a group, at the times that `curves` gives them at."""
+    """Limits of the controls of a group, at the times that `curves` gives them at; constraints have no lines."""
 
     lower: Array
     """-inf where there is none. Shape (n, k)."""
     upper: Array
     """Shape (n, k)."""
     active: NDArray[np.bool_]
-    """Whether a control is at one of its limits. Shape (n, k)."""
+    """Whether a control is at one of its limits, or a constraint in force. Shape (n, k)."""
 
     def lines(self) -> list[tuple[Array, int | None]]:
         """The finite limits, each once: values (n,), and the curve whose limit it is, None where several share it."""
@@ -103,6 +115,13 @@ class Limits:
 def limits(result: Result, trajectory: Trajectory, group: Group) -> Limits | None:
     """Return the limits of a group along one of the result's iterates; None where no control in it has any."""
     columns = list(group.columns)
+    if group.kind == "constraints":
+        touching = in_force.touching(result)
+        none = np.zeros(len(trajectory.X), np.bool_)
+        active = np.stack([touching.get(label, none) for label in group.labels], axis=1)
+        count = len(curves(trajectory, group)[0])
+        unlimited = np.full((count, len(columns)), np.inf)
+        return Limits(-unlimited, unlimited, active[:count])
     if group.kind != "controls":
         return None
     lower, upper = result.lower[:, columns], result.upper[:, columns]
@@ -124,7 +143,7 @@ def range_with_limits(values: Array, lines: Sequence[Array], room: float = 0.08)
 def values_at(trajectory: Trajectory, group: Group, time: float) -> Array:
     """Return the values (k,) of a group at `time` [s]; NaN where the trajectory holds none."""
     times = trajectory.times
-    values = _array(trajectory, group.kind)[:, list(group.columns)]
+    values = _values(trajectory, group)
     if group.kind == "controls":
         step = int(np.clip(np.searchsorted(times, time, side="right") - 1, 0, len(values) - 1))
         return np.asarray(values[step])
@@ -160,10 +179,33 @@ def thinning(values: Array, most: int, switches: NDArray[np.bool_] | None = None
     return np.array(sorted(keep), dtype=np.intp)
 
 
+def violations(result: Result) -> tuple[Array, Array]:
+    """Return iterations and the largest violations of the log, where they are finite. Shapes (n,)."""
+    entries = [(entry.iteration, entry.violation) for entry in result.log if np.isfinite(entry.violation)]
+    return np.array([i for i, _ in entries], dtype=float), np.array([v for _, v in entries], dtype=float)
+
+
 def costs(result: Result) -> tuple[Array, Array]:
     """Return iterations and costs of the log, where the cost is finite. Shapes (n,)."""
     entries = [(entry.iteration, entry.cost) for entry in result.log if np.isfinite(entry.cost)]
     return np.array([i for i, _ in entries], dtype=float), np.array([c for _, c in entries], dtype=float)
+
+
+def _of_constraints(title: str, named: dict[str, Array]) -> list[Group]:
+    """Plots of curves over the knots, by the constraint's name."""
+    names, found = list(named), []
+    for start in range(0, len(names), PER_PLOT):
+        labels = tuple(names[start : start + PER_PLOT])
+        told = title if len(names) <= PER_PLOT else f"{title}, {start + 1} to {start + len(labels)} of {len(names)}"
+        data = np.stack([named[name] for name in labels], axis=1)
+        found.append(Group(told, "constraints", tuple(range(len(labels))), labels, "", data))
+    return found
+
+
+def _values(trajectory: Trajectory, group: Group) -> Array:
+    """The values of a group at all knots or steps. Shape (N + 1, k) | (N, k)."""
+    whole = _array(trajectory, group.kind) if group.data is None else group.data
+    return whole[:, list(group.columns)]
 
 
 def _array(trajectory: Trajectory, kind: str) -> Array:
