@@ -203,9 +203,7 @@ def main(count: int = 3, names: tuple[str, ...] = tuple(PEERS)) -> None:
     if casadi is None:
         print('This comparison needs CasADi: pip install "mjslq[peers]".')
         return
-    print(
-        "problem              by        solved   iterations    seconds   cost from        to     (medians of the solved)"
-    )
+    print("problem              by        solved   iterations    seconds   cost from        to   (medians of those)")
     for name in names:
         problem = mjslq.problems.get(name)
         begin = starts(problem, count)

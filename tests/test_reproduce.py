@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mjslq import problems, solve
-from mjslq.reports import fukushima_yamamoto, reproduce, sideris_bobrow
+from mjslq.reports import fukushima_yamamoto, mcquade, reproduce, sideris_bobrow
 from mjslq.reports.rows import verdict
 
 
@@ -133,7 +133,44 @@ def test_table_i_of_the_trust_region_paper():
     assert "J 4.392865" in end.ours and end.verdict.startswith("converged")
 
 
-@pytest.mark.parametrize("paper, words", [("slq", ("position", "steepest descent", "stance")), ("trust-region", ())])
+@pytest.fixture(scope="module")
+def thesis():
+    return list(mcquade.rows())
+
+
+def test_the_thesis_examples_tell_what_the_method_reached(thesis):
+    reproduced = [row.what for row in thesis if row.verdict.startswith("reproduced")]
+    assert {"du(1)", "dx_1 at the three samples", "N = 17, threshold 1.3", "square-root-sweep"} <= set(reproduced)
+    for row in of(thesis, "N = "):
+        cost = float(row.ours.split()[2].rstrip(","))
+        optimum = 4.488 if "17" in row.what else 4.4494
+        assert cost > optimum - 1e-4
+        assert ("stopped, not converged" in row.ours) == ("constrained" not in row.what)
+        assert row.verdict.startswith("reproduced") == ("constrained" not in row.what and cost < 4.495)
+    (first,) = of(thesis, "row of the cost off")
+    assert first.verdict == "reproduced" and first.ours.startswith("J 2 -> 23.01")
+
+
+def test_the_thesis_reentry_fails_and_succeeds_where_it_says(thesis):
+    assert [row.verdict.split(":")[0] for row in thesis if "nominal trajectory, its" in row.section][:2] == (
+        ["reproduced", "reproduced"]
+    )
+    (all_at_once,) = of(thesis, "all rows at once")
+    assert all_at_once.ours.startswith("no step: rows contradict each other, linearized: 'attack' at 4 steps")
+    first, second = of(thesis, "limit of the angle first, ")[:2]
+    assert first.verdict == "reproduced" and first.ours.startswith("converged after 7: 5.0000 g")
+    assert second.verdict == "not reached"
+    (end,) = of(thesis, "end, beside the nominal one")
+    assert end.verdict.startswith("differs") == (not end.ours.startswith("-"))
+    later = [row for row in thesis if row.section.startswith("Section 5.5")]
+    assert len(later) == 3
+    assert all(row.verdict.startswith("differs") == row.ours.startswith("converged") for row in later)
+
+
+@pytest.mark.parametrize(
+    "paper, words",
+    [("slq", ("position", "steepest descent", "stance")), ("trust-region", ()), ("square-root-sweep", ("altitude",))],
+)
 def test_figures_are_drawn_as_png_and_svg(paper, words, tmp_path):
     files = list(reproduce.draw(paper, tmp_path))
     assert {file.suffix for file in files} == {".png", ".svg"}
@@ -167,7 +204,10 @@ def test_command_prints_rows_under_their_headings():
 
 @pytest.mark.parametrize(
     "arguments, said",
-    [(["slk"], "unknown paper 'slk'; there are: slq, trust-region"), (["slq", "--plot", "no/such/fig"], "no folder")],
+    [
+        (["slk"], "unknown paper 'slk'; there are: slq, trust-region, square-root-sweep"),
+        (["slq", "--plot", "no/such/fig"], "no folder"),
+    ],
 )
 def test_wrong_input_is_refused_before_anything_is_solved(arguments, said):
     command = [sys.executable, "-m", "mjslq.cli", "reproduce", *arguments]
