@@ -60,6 +60,11 @@ class CurveMethod(Method):
     def curve_step(self, here: CurveIterate, direction: Direction, merit: Merit) -> Step:
         """Go along `direction`."""
 
+    @property
+    def stale(self) -> bool:
+        """Whether the gains' metric has come to mislead."""
+        return False
+
     def restart(self) -> None:
         """Forget what was learnt of the cost: it is another one now, or has other gains."""
         return
@@ -90,6 +95,8 @@ class CurveMethod(Method):
         there = step.iterate
         assert isinstance(there, CurveIterate)
         watched = self.regulator.watched(there)
+        if watched is there and self.stale:
+            watched = self.regulator.renewed(there) or there
         if watched is not there:
             self.restart()
         self._keep(watched)

@@ -12,7 +12,8 @@ gamma by `step_rule`:
     diminishing    `step_size` / (k + 1)^0.6                                                             (Remark III.3)
 
 Fixed and diminishing steps need not descend; the result is the best iterate. The gains are made before the first
-iteration, and anew when they do not stabilize (`solvers.regulator`). An iteration costs a rollout or two and an adjoint
+iteration, and anew when they do not stabilize (`solvers.regulator`); for the quasi-Newton rule, which uses their metric,
+also after `PATIENCE` short steps in a row. An iteration costs a rollout or two and an adjoint
 pass, N (nx + nu)^2 for dense Jacobians and N nx nu where the engine has a pullback; no array (N, nx, nx) is made.
 
 Source: Sforni, Spedicato, Notarnicola and Notarstefano, "GoPRONTO: a feedback-based framework for nonlinear optimal
@@ -42,6 +43,8 @@ FARTHEST = 10.0
 """Of the parabola's minimum, relative to the step through which it goes."""
 FIRST = 0.1
 """Length of the first step offered, as a change of the controls, relative to their own, or to 1."""
+SHORT, PATIENCE = 0.1, 5
+"""Quasi-Newton steps, relative to the whole one, that are short, and how many in a row make the metric stale."""
 SMALLEST = 1e-12
 """Share of the step offered, below which the search gives up."""
 
@@ -62,7 +65,7 @@ class Gopronto(CurveMethod):
         self._metric: Array | None = None
         self._gamma: float | None = None
         self._latest: tuple[CurveIterate, Curve] | None = None
-        self._taken = 0
+        self._taken = self._short = 0
 
     def direction(self, here: Iterate) -> Direction:
         """Steps 1 and 2, without gamma."""
@@ -90,12 +93,18 @@ class Gopronto(CurveMethod):
         else:
             step = self._search(here, change, merit, self._offer(here, change))
         self._taken += step.iterate is not None
+        self._short = self._short + 1 if step.alpha < SHORT else 0
         return step
+
+    @property
+    def stale(self) -> bool:
+        """See `CurveMethod.stale`."""
+        return self.rule.natural and self._short >= PATIENCE
 
     def restart(self) -> None:
         """See `CurveMethod.restart`."""
         self.rule.restart()
-        self._latest = None
+        self._latest, self._short = None, 0
 
     def _offer(self, here: CurveIterate, change: Curve) -> float:
         """The first gamma to try."""
