@@ -65,6 +65,27 @@ def test_box_is_pushed_along_a_line_and_turned():
     assert robots.CASES["box push"].met(problem, result.trajectory), problem.describe(result.trajectory)
 
 
+def test_g1_tracks_its_clip():
+    problem = mjslq.problems.get("g1_clip")
+    result = mjslq.solve(problem, max_iterations=6)
+    places = [problem.dynamics.outputs[term.name].columns for term in problem.costs[1::4]]
+    away = {}
+    for name, trajectory in (("start", problem.rollout(problem.U0)), ("end", result.trajectory)):
+        clip = np.stack([term.target for term in problem.costs[1::4]])
+        away[name] = np.linalg.norm(np.stack([trajectory.Y[:, at] for at in places]) - clip, axis=2)
+    assert away["start"].max() > 0.3 and away["end"].max() < 0.04 and away["end"].mean() < 0.02
+    lower, upper = problem.dynamics.control_limits.T
+    assert (lower <= result.trajectory.U).all() and (upper >= result.trajectory.U).all()
+
+
+def test_the_feet_of_the_clip_stay_on_the_floor():
+    problem = mjslq.problems.get("g1_clip")
+    (foot,) = [term.target for term in problem.costs if getattr(term, "name", "") == "left_ankle_roll_link/place"]
+    assert np.abs(foot - foot[0]).max() < 2e-3
+    (pelvis,) = [term.target for term in problem.costs if getattr(term, "name", "") == "pelvis/place"]
+    assert pelvis[25, 2] < pelvis[0, 2] - 0.1
+
+
 @pytest.mark.parametrize(
     "name, values, said",
     [
