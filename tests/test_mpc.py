@@ -12,13 +12,13 @@ from mjslq.simulation import Kick, Push
 H = 0.05
 
 
-def double_integrator(**options):
+def double_integrator(horizon=30, **options):
     """A unit mass [kg] pushed by a force within 2 N to x = 1 m."""
     dynamics = mjslq.FunctionDynamics(
         lambda x, u: np.array([x[1], u[0]]), 2, 1, H, integrator="rk4", control_limits=(-2.0, 2.0)
     )
     costs = [mjslq.costs.Control(0.01), mjslq.costs.State([10.0, 1.0], [1.0, 0.0], "always", terminal_weight=100.0)]
-    return mjslq.Problem(dynamics, 30, [0.0, 0.0], costs, **options)
+    return mjslq.Problem(dynamics, horizon, [0.0, 0.0], costs, **options)
 
 
 def cart_pole(horizon=50):
@@ -65,8 +65,8 @@ def test_costs_that_depend_on_time_get_the_time_of_the_plan():
 
 def test_constraints_hold_along_the_loop():
     """The speed keeps to its limit on the way, and the mass arrives."""
-    problem = double_integrator(bounds=mjslq.Bounds(x=([-np.inf, -0.5], [np.inf, 0.5])))
-    loop = mjslq.MPC(problem, iterations=30).run(duration=3.0)
+    problem = double_integrator(horizon=12, bounds=mjslq.Bounds(x=([-np.inf, -0.5], [np.inf, 0.5])))
+    loop = mjslq.MPC(problem, iterations=20).run(duration=3.0)
     assert loop.trajectory.X[:, 1].max() < 0.5 + 1e-3
     assert loop.trajectory.X[:, 1].max() > 0.45
     assert loop.trajectory.X[-1] == pytest.approx([1.0, 0.0], abs=5e-2)

@@ -84,6 +84,10 @@ def bench(
     starts: Annotated[
         int | None, typer.Option(help="Solve swing-ups and reaches from so many perturbed starts instead.")
     ] = None,
+    robots: Annotated[
+        bool,
+        typer.Option("--robots", help="Solve the robots' tasks from perturbed starts: 20, or --starts."),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Measure what an iteration costs here, phase by phase, beside the engine's own calls."""
@@ -91,6 +95,9 @@ def bench(
     from mjslq.reports import bench, tables
     from mjslq.validation import choose
 
+    if robots:
+        _bench_robots(cases, 20 if starts is None else starts, as_json)
+        return
     if starts is not None:
         _bench_starts(cases, starts, as_json)
         return
@@ -106,6 +113,22 @@ def bench(
         print(json.dumps({"cases": [row.as_dict() for row in rows], "growth": growth}))
     else:
         tables.benchmark(rows, growth)
+
+
+def _bench_robots(cases: list[str] | None, number: int, as_json: bool) -> None:
+    """Solve each robot's task from perturbed starts, by default settings."""
+    from mjslq.reports import robots, tables
+    from mjslq.validation import choose, count
+
+    count("starts", number)
+    rows = []
+    for case in [choose("case", case, robots.CASES) for case in cases or robots.CASES]:
+        print(f"solving {case} from {number} starts ...", file=sys.stderr, flush=True)
+        rows.append(robots.measure(case, number))
+    if as_json:
+        print(json.dumps({"robots": [row.as_dict() for row in rows]}))
+    else:
+        tables.console(150).print(robots.summary(rows))
 
 
 def _bench_starts(cases: list[str] | None, number: int, as_json: bool) -> None:

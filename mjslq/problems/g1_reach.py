@@ -77,6 +77,11 @@ def describe(trajectory: Trajectory, target: Array) -> dict[str, str]:
 
 def g1(timestep: float, contact: str) -> MujocoDynamics:
     """The robot on a floor, a position servo on each joint, a sensor on the right hand."""
+    return MujocoDynamics.from_spec(g1_spec(timestep), name="g1", contact=contact)
+
+
+def g1_spec(timestep: float) -> Any:
+    """The same as a specification (mujoco.MjSpec)."""
     import mujoco
 
     spec: Any = on_floor("g1", FEET, timestep, 0.03)
@@ -89,4 +94,4 @@ def g1(timestep: float, contact: str) -> MujocoDynamics:
     spec.add_sensor(
         name="hand", type=mujoco.mjtSensor.mjSENS_FRAMEPOS, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="hand"
     )
-    return MujocoDynamics.from_spec(spec, name="g1", contact=contact)
+    return spec

@@ -8,21 +8,26 @@ into each other, and whether any control has left its limits.
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+from rich.table import Table
 
 from mjslq import problems
 from mjslq.costs import State
+from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.optimize import solve
 from mjslq.problem import Problem
 from mjslq.problems import box_push
 from mjslq.problems.panda_reach import OPTIMAL_COST
+from mjslq.problems.solo12_stand import spring_legs
 from mjslq.reports.starts import Case as Start
 from mjslq.reports.starts import perturbed
+from mjslq.reports.tables import table
 from mjslq.result import Result
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
@@ -46,8 +51,9 @@ class Case(NamedTuple):
     met: Met
     says: str
     """What `met` asks, in words."""
-    wander: float = 0.0
-    """As in `reports.starts`."""
+    guessed: bool = False
+    """Whether the start is a guess of the states: the arm rests in a perturbed posture all along. Its controls cannot
+    be moved, since without damping it blows up."""
 
 
 def _upright(problem: Problem, trajectory: Trajectory) -> bool:
@@ -104,8 +110,8 @@ CASES: dict[str, Case] = {
     "double pendulum": Case("double_pendulum", {}, 0.05, 0.1, 25, 20, _upright, _UP),
     "acrobot 10 Nm": Case("acrobot", {}, 0.05, 0.1, 150, 18, _upright, _UP),
     "quadrotor, 90 deg": Case("quadrotor", {}, 0.1, 0.05, 50, 20, _waypoint, "2 cm, 0.05 rad, 0.2 m/s"),
-    "Panda, MuJoCo": Case("panda_reach", {}, 0.0, 0.0, 25, 20, _panda, _PANDA, 0.1),
-    "Panda, Pinocchio": Case("panda_reach", {"engine": "pinocchio"}, 0.0, 0.0, 25, 20, _panda, _PANDA, 0.1),
+    "Panda, MuJoCo": Case("panda_reach", {}, 0.03, 0.0, 25, 20, _panda, _PANDA, True),
+    "Panda, Pinocchio": Case("panda_reach", {"engine": "pinocchio"}, 0.03, 0.0, 25, 20, _panda, _PANDA, True),
     "Solo12 stand": Case("solo12_stand", {}, 0.02, 0.02, 100, 20, _stands, _STANDS),
     "Solo12 jump": Case("solo12_jump", {}, 0.02, 0.02, 120, 18, _jumps, "apex within 3 cm, " + _STANDS),
     "G1 reach": Case("g1_reach", {}, 0.01, 0.01, 20, 20, _reaches, "hand within 1 cm"),
@@ -164,8 +170,8 @@ class Row:
 def measure(name: str, starts: int = 20) -> Row:
     """Solve one of `CASES` from `starts` perturbed starts."""
     row, case = Row(name), CASES[name]
-    for problem in started(case, starts):
-        result = solve(problem, max_iterations=case.most)
+    for problem, guess in started(case, starts):
+        result = solve(problem, guess=guess, max_iterations=case.most)
         row.done.append(first_met(case, problem, result))
         row.seconds.append(result.seconds)
         row.endings[result.status.value] += 1
@@ -175,8 +181,34 @@ def measure(name: str, starts: int = 20) -> Row:
     return row
 
 
-def started(case: Case, starts: int) -> Iterator[Problem]:
-    """The problem of a case from perturbed starts."""
+def summary(rows: Sequence[Row]) -> Table:
+    """A row a case."""
+    titles = (
+        "task",
+        "done",
+        "wanted",
+        "within",
+        "iterations",
+        "at most",
+        "seconds",
+        "penetration",
+        "ends",
+        "done means",
+    )
+    found = table(*titles, title="perturbed starts, default settings: iterations until done, medians")
+    for row in rows:
+        case, at = CASES[row.case], row.iterations
+        found.add_row(
+            row.case, f"{row.solved} of {len(row.done)}", f"{case.wanted} of 20" if case.wanted else "-",
+            str(case.most), f"{np.median(at):.0f}" if at else "-", str(max(at)) if at else "-",
+            f"{np.median(row.seconds):.2f}", f"{1e3 * row.penetration:.1f} mm" if row.penetration else "-",
+            ", ".join(f"{count} {ending}" for ending, count in row.endings.items()), case.says,
+        )  # fmt: skip
+    return found
+
+
+def started(case: Case, starts: int) -> Iterator[tuple[Problem, Array | None]]:
+    """The problem of a case from perturbed starts, and a guess of the states where there is one."""
     problem = problems.get(case.problem, **case.parameters)
     moved: Array = np.full(problem.dynamics.ndx, case.states)
     if case.problem == "box_push":
@@ -184,7 +216,16 @@ def started(case: Case, starts: int) -> Iterator[Problem]:
     elif case.problem.startswith(("solo12", "g1")):
         moved[:6] = 0.0  # the feet stand on it
     for seed in range(starts):
-        yield perturbed(problem, seed, Start(case.problem, {}, moved, case.controls, case.wander))
+        if case.guessed:
+            nv, rest = problem.dynamics.nv, np.tile(np.asarray(problem.x0), (problem.horizon + 1, 1))
+            rest[:, :nv] += case.states * np.random.default_rng(seed).standard_normal(nv)
+            yield problem, rest
+            continue
+        started = perturbed(problem, seed, Start(case.problem, {}, moved, case.controls))
+        if isinstance(dynamics := problem.dynamics, MujocoDynamics) and case.problem.startswith("solo12"):
+            x0 = np.asarray(started.x0)  # its legs are springs at the start, whatever the state
+            started = dataclasses.replace(started, U0=spring_legs(dynamics, x0, _final(problem), problem.horizon))
+        yield started, None
 
 
 def first_met(case: Case, problem: Problem, result: Result) -> int | None:

@@ -1,0 +1,87 @@
+"""How far sensors are from what the cost wants of them, in their own units: what a summary says of a task.
+
+A term that acts at one knot is told by the distance there; one that acts along the way by its largest distance and the
+one at its last knot. Quaternions count by the angle between them and the target.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mjslq.costs import Sensor
+from mjslq.dynamics.dynamics import Dynamics
+from mjslq.knots import knots_of
+from mjslq.problem import Problem
+from mjslq.residuals import bind_output
+from mjslq.trajectory import Trajectory
+from mjslq.validation import Array
+
+_UNITS = {
+    "m": ("FRAMEPOS", "GEOMDIST", "SUBTREECOM", "TENDONPOS", "RANGEFINDER"),
+    "rad": ("FRAMEQUAT", "BALLQUAT"),
+    "m/s": ("FRAMELINVEL", "VELOCIMETER", "SUBTREELINVEL"),
+    "rad/s": ("FRAMEANGVEL", "GYRO", "BALLANGVEL"),
+    "m/s^2": ("FRAMELINACC", "ACCELEROMETER"),
+    "rad/s^2": ("FRAMEANGACC",),
+    "N": ("FORCE", "TOUCH"),
+    "Nm": ("TORQUE",),
+}
+"""Kinds of MuJoCo's sensors, mjSENS_..., by the unit of what they read."""
+_BY_JOINT = {"JOINTPOS": ("rad", "m"), "JOINTVEL": ("rad/s", "m/s"), "JOINTACTFRC": ("Nm", "N")}
+"""Units by hinge and slide."""
+
+
+@dataclass(frozen=True)
+class TaskError:
+    """Distance of a sensor from its target."""
+
+    sensor: str
+    unit: str
+    """Empty where it is not known."""
+    largest: float
+    last: float
+    """At the last of the knots."""
+    knots: int
+    """How many there are."""
+
+    def __str__(self) -> str:
+        """In a few words."""
+        last = _shown(self.last, self.unit)
+        return f"{last} off" if self.knots == 1 else f"{last} off in the end, {_shown(self.largest, self.unit)} at most"
+
+
+def task_errors(problem: Problem, trajectory: Trajectory) -> list[TaskError]:
+    """The distance of each sensor that the cost names from its target, the last term of a sensor counting."""
+    found: dict[str, TaskError] = {}
+    for term in problem.costs:
+        if isinstance(term, Sensor) and not trajectory.diverged:
+            knots = knots_of(term.when, problem.dynamics.steps(problem.horizon))
+            residual = bind_output(problem.dynamics, term.name, term.target, knots)
+            away: Array = np.linalg.norm(residual.value(trajectory), axis=1)
+            unit = sensor_unit(problem.dynamics, term.name)
+            found[term.name] = TaskError(term.name, unit, float(away.max()), float(away[-1]), len(away))
+    return list(found.values())
+
+
+def sensor_unit(dynamics: Dynamics, name: str) -> str:
+    """Unit of the distance between readings of a sensor; empty where it is not known."""
+    model: Any = getattr(dynamics, "model", None)
+    if not hasattr(model, "sensor_type"):
+        return "m" if hasattr(model, "frames") else ""  # Pinocchio's outputs are places of frames
+    import mujoco
+
+    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name) < 0:
+        return ""
+    sensor = model.sensor(name)
+    kind = mujoco.mjtSensor(int(sensor.type[0])).name.removeprefix("mjSENS_")
+    if kind in _BY_JOINT:
+        hinge = model.jnt_type[int(sensor.objid[0])] == mujoco.mjtJoint.mjJNT_HINGE
+        return _BY_JOINT[kind][0 if hinge else 1]
+    return next((unit for unit, kinds in _UNITS.items() if kind in kinds), "")
+
+
+def _shown(value: float, unit: str) -> str:
+    return f"{1e3 * value:.2f} mm" if unit == "m" and value < 0.1 else f"{value:.3g} {unit}".strip()

@@ -1,0 +1,122 @@
+"""The robots' tasks: each in short from one start; from twenty, as the catalogue promises, when there is time."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import mjslq
+from mjslq.reports import robots
+
+QUICK = ("quadrotor, 90 deg", "Panda, Pinocchio", "G1 reach", "Solo12 stand", "quadrotor upside down")
+WANTED = [name for name, case in robots.CASES.items() if case.wanted]
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_tasks_are_done_from_a_perturbed_start(name):
+    row = robots.measure(name, 1)
+    assert row.solved == 1 and row.violation == 0.0
+    assert 0 < row.iterations[0] <= robots.CASES[name].most
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WANTED)
+def test_tasks_are_done_from_twenty_starts(name):
+    row = robots.measure(name, 20)
+    assert row.solved >= robots.CASES[name].wanted, row.as_dict()
+    assert row.violation == 0.0 and len(row.done) == 20
+
+
+def test_solo_leaves_the_floor_and_comes_down_on_its_feet():
+    """With few iterations: the middle is up in the air, where no foot touches; the end is on the feet."""
+    problem = mjslq.problems.get("solo12_jump")
+    result = mjslq.solve(problem, "slq", max_iterations=40)
+    X, model = result.trajectory.X, problem.dynamics.model
+    assert X[50, 2] > problem.x0[2] + 0.15
+    assert abs(X[-1, 2] - problem.x0[2]) < 0.03 and np.abs(X[-1, 4:7]).max() < 0.1
+    from mjslq.dynamics.mujoco.contacts import penetration
+
+    assert penetration(model, X[48:52]) == 0.0 and penetration(model, X[-5:]) > 0.0
+    assert str(result.contact).startswith("smooth")
+
+
+def test_g1_stands_still_again():
+    problem = mjslq.problems.get("g1_push")
+    assert problem.x0[36] == 0.5
+    result = mjslq.solve(problem, max_iterations=15)
+    assert robots.CASES["G1 push 0.5 m/s"].met(problem, result.trajectory)
+    assert not robots.CASES["G1 push 0.5 m/s"].met(problem, problem.rollout(problem.U0))
+
+
+def test_thrusts_of_the_quadrotor_keep_to_their_limits():
+    problem = mjslq.problems.get("quadrotor", roll=180.0, limit=5.0)
+    result = mjslq.solve(problem)
+    assert result.success, result.message
+    U = result.trajectory.U
+    assert U.min() >= 0.0 and U.max() <= 5.0 and result.active_limits.any()
+    assert np.abs(problem.dynamics.difference(problem.costs[-1].target, result.trajectory.X[-1])).max() < 0.05
+
+
+def test_box_is_pushed_along_a_line_and_turned():
+    problem = mjslq.problems.get("box_push", x=0.2, y=-0.05, yaw=-0.3)
+    result = mjslq.solve(problem, max_iterations=12)
+    assert robots.CASES["box push"].met(problem, result.trajectory), problem.describe(result.trajectory)
+
+
+def test_g1_tracks_its_clip():
+    problem = mjslq.problems.get("g1_clip")
+    result = mjslq.solve(problem, max_iterations=6)
+    places = [problem.dynamics.outputs[term.name].columns for term in problem.costs[1::4]]
+    away = {}
+    for name, trajectory in (("start", problem.rollout(problem.U0)), ("end", result.trajectory)):
+        clip = np.stack([term.target for term in problem.costs[1::4]])
+        away[name] = np.linalg.norm(np.stack([trajectory.Y[:, at] for at in places]) - clip, axis=2)
+    assert away["start"].max() > 0.3 and away["end"].max() < 0.04 and away["end"].mean() < 0.02
+    lower, upper = problem.dynamics.control_limits.T
+    assert (lower <= result.trajectory.U).all() and (upper >= result.trajectory.U).all()
+
+
+def test_the_feet_of_the_clip_stay_on_the_floor():
+    problem = mjslq.problems.get("g1_clip")
+    (foot,) = [term.target for term in problem.costs if getattr(term, "name", "") == "left_ankle_roll_link/place"]
+    assert np.abs(foot - foot[0]).max() < 2e-3
+    (pelvis,) = [term.target for term in problem.costs if getattr(term, "name", "") == "pelvis/place"]
+    assert pelvis[25, 2] < pelvis[0, 2] - 0.1
+
+
+@pytest.mark.parametrize(
+    "name, values, said",
+    [
+        ("box_push", {"start": "walk"}, "unknown start 'walk'; there are: line, still"),
+        ("box_push", {"contact": "hard"}, "unknown contact 'hard'; there are: model, smooth, stiff"),
+        ("box_push", {"foresight": -1.0}, "foresight must be at least 0"),
+        ("quadrotor", {"limit": 0.0}, "limit must be positive"),
+        ("solo12_jump", {"height": -1.0}, "height must be positive"),
+        ("solo12_jump", {"horizon": 3}, "horizon must be a whole number of at least 4"),
+        ("g1_push", {"vx": np.inf}, "vx must be finite"),
+    ],
+)
+def test_wrong_values_are_refused_in_one_sentence(name, values, said):
+    with pytest.raises(ValueError, match=said):
+        mjslq.problems.get(name, **values)
+
+
+def test_the_first_iteration_that_counts_is_the_one_after_which_the_task_stays_done():
+    problem = mjslq.problems.get("quadrotor")
+    result = mjslq.solve(problem)
+    case = robots.CASES["quadrotor, 90 deg"]
+    at = robots.first_met(case, problem, result)
+    assert all(case.met(problem, trajectory) for trajectory in result.iterates[at:])
+    assert not case.met(problem, result.iterates[at - 1])
+    assert robots.first_met(case, problem, mjslq.solve(problem, max_iterations=1)) is None
+
+
+def test_the_bench_command_prints_a_row_a_task():
+    command = [sys.executable, "-m", "mjslq.cli", "bench", "--robots", "cart-pole 5 N", "--starts", "1"]
+    printed = subprocess.run([*command, "--json"], capture_output=True, text=True, timeout=120)
+    assert printed.returncode == 0, printed.stderr
+    (row,) = json.loads(printed.stdout)["robots"]
+    assert row["case"] == "cart-pole 5 N" and row["solved"] == 1 and row["within"] == 40
+    assert robots.summary([robots.Row("box push", [None, 3], [1.0, 2.0], penetration=0.01)]).row_count == 1
