@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from mjslq.optimize import solve as solve
     from mjslq.policy import Policy as Policy
     from mjslq.problem import Problem as Problem
+    from mjslq.reports.explain import explain as explain
     from mjslq.result import Result as Result
     from mjslq.result import load as load
     from mjslq.robots import robot_path as robot_path
@@ -73,6 +74,7 @@ _HOME = {
     "Status": "mjslq.status",
     "Task": "mjslq.tasks.task",
     "Trajectory": "mjslq.trajectory",
+    "explain": "mjslq.reports.explain",
     "export_html": "mjslq.viewer",
     "load": "mjslq.result",
     "load_task": "mjslq.tasks.task",

@@ -1,4 +1,4 @@
-"""The command line: `mjslq list | solve | new | schema | view | export | check | compare | reproduce | bench | sweep`.
+"""The command line `mjslq`: list, solve and view problems and results; see `mjslq --help`.
 
 Exit status: 0 converged (or the command did what it was asked), 1 not converged or ended by an error, 2 wrong input,
 3 diverged, 130 interrupted. What a command says about its progress goes to standard error; standard output holds
@@ -15,7 +15,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from mjslq.commands import measuring, sweeping, tasks
+from mjslq.commands import explaining, measuring, sweeping, tasks
 from mjslq.commands.common import (
     Host,
     Json,
@@ -192,7 +192,15 @@ def compare(
         show(best, host, port, beside=others)
 
 
-for _command in (tasks.new, tasks.schema, measuring.check, measuring.reproduce, measuring.bench, sweeping.sweep):
+for _command in (
+    tasks.new,
+    tasks.schema,
+    explaining.explain,
+    measuring.check,
+    measuring.reproduce,
+    measuring.bench,
+    sweeping.sweep,
+):
     app.command()(_command)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
@@ -320,6 +321,8 @@ def _result(
         violations=outcome.duals.violations,
         multipliers=limits | outcome.duals.multipliers,
         knots={c.name: c.seen_at for c in problem.bound_constraints},
+        cost_terms={} if iterate.trajectory.diverged else problem.unpenalized.cost_terms(iterate.trajectory),
+        gradient=iterate.projected_gradient if math.isfinite(outcome.gradient_norm) else None,
         log=tuple(monitor.log),
         iterates=tuple(monitor.iterates),
         seconds=monitor.seconds,

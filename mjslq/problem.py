@@ -190,6 +190,17 @@ class Problem:
             total = sum(term.cost(trajectory) for term in self._terms)
         return total if math.isfinite(total) else math.inf
 
+    def cost_terms(self, trajectory: Trajectory) -> dict[str, float]:
+        """Cost of each term, by what it is and where it acts; equal ones are numbered from the second on."""
+        found: dict[str, float] = {}
+        for term in self._terms:
+            label, number = term.label, 1
+            while label in found:
+                number += 1
+                label = f"{term.label} ({number})"
+            found[label] = term.cost(trajectory)
+        return found
+
     def expand(self, trajectory: Trajectory, linearization: Linearization | None = None) -> Expansion:
         """Second-order (Gauss-Newton) expansion of the cost about `trajectory`."""
         if linearization is None:

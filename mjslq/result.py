@@ -77,6 +77,11 @@ class Result:
     """Where the state's quaternions are."""
     scene: Scene | None = None
     """What a viewer draws; None when the problem has nothing to draw."""
+    cost_terms: dict[str, float] = field(default_factory=dict)
+    """Share of each term in `cost`, by what it is and where it acts."""
+    gradient: Array | None = None
+    """Projected gradient dJ/dU at `trajectory`; with constraints, the one of the Lagrangian. None where derivatives
+    fail. Shape (N, nu)."""
     contact: Contact | None = None
     """How hard bodies touched in the model that it was solved with; None where the engine knows no contacts."""
     error: str = ""

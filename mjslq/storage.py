@@ -35,7 +35,7 @@ FORMAT = 2
 """Version of the file format; files of another version are refused."""
 PLAIN = (
     "message", "cost", "iterations", "gradient_norm", "constraint_violation", "seconds", "compile_seconds", "problem",
-    "method", "options", "parameters", "names", "error",
+    "method", "options", "parameters", "names", "error", "cost_terms",
 )  # fmt: skip
 """Fields that JSON holds as they are."""
 NAMED = ("violations", "multipliers", "knots")
@@ -50,8 +50,9 @@ _GROUPS: dict[str, Group] = {type(group).__name__: group for group in (ROTATION,
 def save(result: Result, path: str | os.PathLike[str]) -> None:
     """Write `result` to `path`; see `Result.save`."""
     arrays: dict[str, Any] = {"lower": result.lower, "upper": result.upper}
-    if result.gains is not None:
-        arrays["gains"] = result.gains
+    for name in ("gains", "gradient"):
+        if getattr(result, name) is not None:
+            arrays[name] = getattr(result, name)
     arrays |= _pack("trajectory", [result.trajectory])
     if result.trajectory.substates is not None:
         arrays["trajectory_substates"] = result.trajectory.substates[None]
@@ -111,7 +112,8 @@ def _result_of(header: dict[str, Any], arrays: dict[str, Array]) -> Result:
         if slash and kind in named:
             named[kind][name] = array
     return Result(
-        **{name: header[name] for name in PLAIN if name != "names"},
+        **{name: header[name] for name in PLAIN if name not in ("names", "cost_terms")},
+        cost_terms=header.get("cost_terms", {}),
         **named,
         names={kind: tuple(entries) for kind, entries in header["names"].items()},
         status=Status(header["status"]),
@@ -119,6 +121,7 @@ def _result_of(header: dict[str, Any], arrays: dict[str, Array]) -> Result:
         trajectory=_unpack("trajectory", arrays)[0],
         iterates=_unpack("iterates", arrays) if "iterates_X" in arrays else (),
         gains=arrays.get("gains"),
+        gradient=arrays.get("gradient"),
         lower=arrays["lower"],
         upper=arrays["upper"],
         space=_unpack_space(arrays),
