@@ -1,8 +1,8 @@
 """MuJoCo models that gymnasium's and dm_control's wheels carry, and what happens to each: load, check, solve.
 
 The files are found where these packages are installed (pip install mjslq[models]), or below the folder that the
-environment variable MJSLQ_MODELS names (a wheel unzipped there will do). What plain MuJoCo does not compile, such as files that others include, and what
-has no joints, such as arenas, is left out.
+environment variable MJSLQ_MODELS names (a wheel unzipped there will do). What plain MuJoCo does not compile, such as
+files that others include, and what has no joints, such as arenas, is left out.
 """
 
 from __future__ import annotations
