@@ -219,7 +219,7 @@ class UserFunction:
 
     def _at_origin(self) -> Array:
         """What f returns at the origin, where it need not be defined but has its shape; or else near it."""
-        plain = self._f.py_func if is_compiled(self._f) else self._f  # which checks its indices
+        plain = getattr(self._f, "py_func", self._f)  # which checks its indices
         errors: list[Exception] = []
         for number in (0.0, _GENERIC):
             try:

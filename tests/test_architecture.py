@@ -116,7 +116,7 @@ def test_the_ground_knows_nothing_of_what_stands_on_it(module):
 @pytest.mark.parametrize(
     "room, below",
     [
-        ("mjslq.lq", ("mjslq.lq", "mjslq.validation")),
+        ("mjslq.lq", ("mjslq.lq", "mjslq.native", "mjslq.validation")),
         ("mjslq.policy", ("mjslq.manifold", "mjslq.trajectory", "mjslq.validation")),
         ("mjslq.trajectory", ("mjslq.validation",)),
         ("mjslq.status", ()),

@@ -5,5 +5,5 @@ kernel, arrays      kernels: C functions, and those that Python calls with array
 bitcode, sources    the files that come with mjslq, and whether they fit the sources
 machine, symbols    from bitcode to machine code, kept on disk; where the functions it calls are found
 emit                from Python functions to bitcode, by numba, where no file fits
-__main__            `python -m mjslq.native` makes the files anew
+build               the command that makes the files anew: `python -m mjslq.native.build`
 """

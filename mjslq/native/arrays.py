@@ -21,7 +21,7 @@ from mjslq.native.kernel import Kernel
 from mjslq.native.memory import carray, pointer
 
 _NUMBA = {"f8": "float64", "i8": "int64", "i1": "int8", "b1": "boolean", "void": "void"}
-_C = {"float64": ctypes.c_double, "int64": ctypes.c_int64, "boolean": ctypes.c_bool, "void": None}
+_C: dict[str, Any] = {"float64": ctypes.c_double, "int64": ctypes.c_int64, "boolean": ctypes.c_bool, "void": None}
 _DTYPES = {"f8": np.float64, "i8": np.int64, "i1": np.int8, "b1": np.bool_}
 
 

@@ -1,7 +1,7 @@
 """Kernels as LLVM bitcode: files that come with mjslq, one a kernel, and whether they fit.
 
 A file holds a line of JSON, and behind it the bitcode, compressed. The line tells the checksum of the sources that the
-kernel was made of (`sources`) and the names of the functions that it calls. `python -m mjslq.native` makes the files.
+kernel was made of (`sources`) and the names of the functions that it calls. `build` makes the files.
 """
 
 from __future__ import annotations

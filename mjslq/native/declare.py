@@ -39,6 +39,10 @@ class Declared:
     def _numba_type_(self) -> Any:
         return numba_type(self.made)
 
+    def __call__(self, *arguments: Any) -> Any:
+        """For compiled functions only."""
+        raise TypeError(f"{self.made!r} is there for compiled functions only")
+
 
 class Helper:
     """A compiled function that compiled functions call."""
@@ -104,8 +108,8 @@ def external(name: str, signature: str) -> Any:
     return Declared(make)
 
 
-def intrinsic(make: Callable[[Any], tuple[Any, Callable[..., Any]]], signature: str) -> Any:
-    """Declare an operation on numbers: `make(signature)` gives what writes LLVM's instructions, as numba wants it."""
+def intrinsic(make: Callable[[Any, Any, Any, Any], Any], signature: str) -> Any:
+    """Declare an operation on numbers: `make(context, builder, signature, arguments)` writes LLVM's."""
 
     def declare() -> Any:
         from numba.core import sigutils

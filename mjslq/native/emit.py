@@ -96,7 +96,7 @@ class _LowerOnly(NativeLowering):
         state.library = _Library(_portable(), state.func_id.func_qualname)
         super().run_pass(state)
         made = state["cr"]
-        callee = [].append  # any function of C that is no other's: numba keeps what it made under it
+        callee: Any = [].append  # any function of C that is no other's: numba keeps what it made under it
         state.targetctx.insert_user_function(callee, made.fndesc, [state.library])
         state["cr"] = made._replace(cfunc=callee)
         return True

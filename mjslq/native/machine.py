@@ -64,12 +64,12 @@ def link(code: bytes, names: tuple[str, ...], entry: str) -> int:
 
     Raises ImportError when one of them is not to be had: LLVM would end the process.
     """
-    missing = symbols.find(names)
-    if missing:
-        raise ImportError(f"the kernel {entry} calls functions that no library has: {', '.join(missing)}")
     with _lock:
         _target()
-        engine = _engine()
+        engine = _engine()  # which makes the functions of the process known
+        missing = symbols.find(names)
+        if missing:
+            raise ImportError(f"the kernel {entry} calls functions that no library has: {', '.join(missing)}")
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
         address: int = engine.get_function_address(entry)

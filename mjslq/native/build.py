@@ -1,4 +1,7 @@
-"""Make the bitcode of all kernels anew, where their sources have changed: python -m mjslq.native [--all] [name ...]."""
+"""Make the bitcode of kernels anew: of all whose sources have changed, or of those named.
+
+Usage: python -m mjslq.native.build [--all] [name ...]
+"""
 
 from __future__ import annotations
 
