@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mjslq.dynamics.dynamics import Dynamics, Linearization
 from mjslq.knots import Knots
-from mjslq.quadratic import transposed_times
+from mjslq.quadratic import Expansion, transposed_times
 from mjslq.residuals import BoundResidual, Jacobian, Slopes
 from mjslq.trajectory import Trajectory
 from mjslq.user_function import UserFunction
@@ -102,8 +102,11 @@ class EndResidual(BoundResidual):
 
         dw = w_x dx_{n+1} + w_u du_n = w_x A_n dx_n + (w_x B_n + w_u) du_n
 
-    Its second derivatives are left out.
+    Second derivatives are those of w along (A dx + B du, du), and those of the step, weighed by w_x'lambda as by a
+    costate of its end.
     """
+
+    of_ends = True
 
     def __init__(self, dynamics: Dynamics, function: UserFunction, knots: Knots, grid: Array) -> None:
         self.knots, self.size, self._dynamics, self._function = knots, function.size, dynamics, function
@@ -132,6 +135,24 @@ class EndResidual(BoundResidual):
             basis = self._dynamics.tangent_basis(Z[n, :nx])
             into.q[knot + 1] += g[n, :nx] if basis is None else g[n, :nx] @ basis
         into.r[self.knots.at_steps] += g[:, nx:]
+
+    def curvature_of_ends(
+        self, trajectory: Trajectory, linearization: Linearization, weights: Array, into: Expansion, costates: Array
+    ) -> None:
+        """See `BoundResidual.curvature_of_ends`."""
+        Z, nx, knots = self._points(trajectory), self._dynamics.nx, self.knots
+        H, J = self._function.hessians(Z, self._times, weights), self._function.jacobians(Z, self._times)
+        xx, ux, by_end = H[:, :nx, :nx], H[:, nx:, :nx], J[:, :, :nx]
+        if nx != self._dynamics.ndx:
+            bases = [self._dynamics.tangent_basis(x) for x in Z[:, :nx]]
+            basis = np.stack([basis for basis in bases if basis is not None])
+            xx, ux, by_end = basis.swapaxes(1, 2) @ xx @ basis, ux @ basis, by_end @ basis
+        A, B = linearization.A[knots.at], linearization.B[knots.at]
+        by_B = B.swapaxes(1, 2) @ xx
+        into.Q[knots.at] += A.swapaxes(1, 2) @ xx @ A
+        into.M[knots.at] += (by_B + ux) @ A
+        into.R[knots.at] += by_B @ B + ux @ B + (ux @ B).swapaxes(1, 2) + H[:, nx:, nx:]
+        costates[knots.indices + 1] += (weights[:, None] @ by_end)[:, 0]
 
     def at(self, t0: float) -> EndResidual:
         """See `BoundResidual.at`."""

@@ -54,6 +54,12 @@ class BoundTerm(ABC):
         """
         return
 
+    def complete_ends(
+        self, trajectory: Trajectory, linearization: Linearization, into: Expansion, costates: Array
+    ) -> None:
+        """Add what states at the ends of steps enter by; see `BoundResidual.curvature_of_ends`. Often nothing."""
+        return
+
     def at(self, t0: float) -> BoundTerm:
         """The same term on a horizon that starts at the time `t0` [s]: user functions get t0 + t_n.
 
@@ -104,6 +110,14 @@ class ResidualCost(BoundTerm):
         if self._residual.curved:
             slope = self._loss.slope(self._residual.value(trajectory))
             self._residual.curvature(trajectory, slope, into, weights)
+
+    def complete_ends(
+        self, trajectory: Trajectory, linearization: Linearization, into: Expansion, costates: Array
+    ) -> None:
+        """See `BoundTerm.complete_ends`."""
+        if self._residual.of_ends:
+            slope = self._loss.slope(self._residual.value(trajectory))
+            self._residual.curvature_of_ends(trajectory, linearization, slope, into, costates)
 
     def at(self, t0: float) -> BoundTerm:
         """See `BoundTerm.at`."""

@@ -230,6 +230,16 @@ class Problem:
             term.complete(trajectory, full, weights)
         return full, weights
 
+    def complete_ends(self, trajectory: Trajectory, linearization: Linearization, full: Expansion) -> Array:
+        """Add to `full` what `complete` cannot: the part of terms of the ends of steps, w(x_{n+1}, u_n).
+
+        Returns what weighs the second derivatives of the steps beside the costates. Shape (N + 1, ndx).
+        """
+        costates = np.zeros((self.horizon + 1, self.dynamics.ndx))
+        for term in self._terms:
+            term.complete_ends(trajectory, linearization, full, costates)
+        return costates
+
     def gradient(self, trajectory: Trajectory) -> Array:
         """Gradient dJ/dU by the adjoint recursion. Shape (N, nu).  (Sideris and Bobrow 2005, (8)-(10).)"""
         linearization = self.dynamics.linearize(trajectory)

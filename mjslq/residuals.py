@@ -82,6 +82,8 @@ class BoundResidual(ABC):
     """The Jacobian, where it is the same along all trajectories."""
     curved: bool = False
     """Whether `curvature` has something to add."""
+    of_ends: bool = False
+    """Whether `curvature_of_ends` has."""
 
     @abstractmethod
     def value(self, trajectory: Trajectory) -> Array:
@@ -102,6 +104,15 @@ class BoundResidual(ABC):
         """Add sum_i w_i d2r_i/d(x, u)2 at each knot: to `into`, or for outputs dr/dy'w to `output_weights` (N + 1, ny).
 
         Outputs enter with their own second derivatives, which the engine contracts with `output_weights`.
+        """
+        return
+
+    def curvature_of_ends(
+        self, trajectory: Trajectory, linearization: Linearization, weights: Array, into: Expansion, costates: Array
+    ) -> None:
+        """Add what states at the ends of steps enter by: Hessians to `into`, dr/dx_{n+1}'w to `costates` (N + 1, ndx).
+
+        The engine contracts the second derivatives of the steps with `costates`. Most residuals have nothing to add.
         """
         return
 

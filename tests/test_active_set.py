@@ -30,6 +30,7 @@ def small(free=()):
         constraints=[
             Path(lambda x, u, t: np.array([x[0] * u[0] + u[0] ** 2 - 1.5, x[1] - 1.2]), name="power"),
             State([0.0, -np.inf], [0.5, np.inf], when=slice(3, 6), name="wall"),
+            Path(lambda x, u, t: x[0] * x[0] + 0.2 * u[0] * x[1] - 0.1, at="end", when=slice(0, 2), name="first"),
             Terminal(lambda x: np.array([np.sin(x[0]) - 0.45]), name="end"),
             *([Initial(free=free)] if free else []),
         ],

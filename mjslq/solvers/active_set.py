@@ -27,8 +27,8 @@ A step of size 1, 1/2, ... is taken that lowers
     J + sum nu |r - [r]|_1,    nu twice the largest multiplier of the constraint ([.] clips to the interval)
 
 or, at size 1, quarters the error e of constraints and complementarity (the l1 merit function may refuse good steps near
-a solution). The method fails, and `constrained` goes on from where it was, where no step will do, where `SLOW` steps do
-not halve e, and after `MOST`.
+a solution). The method fails, and `constrained` goes on from where it was, where no step will do, after `MOST`, and
+where `SLOW` steps do not halve e; without second derivatives two that do not quarter it are too many.
 
 Sources: Nocedal and Wright, Numerical Optimization, chapter 18; Friedlander and Orban 2012, "A primal-dual regularized
 interior-point method for convex quadratic programs", for the proximal term.
@@ -221,7 +221,7 @@ class ActiveSet:
     def step(self, here: Iterate, direction: Direction) -> Step:
         """Go along the direction, with new multipliers; no iterate where the method fails."""
         self._steps += 1
-        if self._steps > MOST or self._slow > SLOW:
+        if self._steps > MOST or self._slow > (SLOW if self._second else 1):
             return Step(None)
         start, slope = self._merit(here.trajectory), self._slope(here, direction)
         error, alpha, spent = self.error(here.trajectory, self.multipliers), 1.0, 0
@@ -233,7 +233,7 @@ class ActiveSet:
                 falls = self._merit(there) <= start + C1 * alpha * min(slope, 0.0) + ROUNDING * abs(start)
                 left = self.error(there, multipliers)
                 if falls or (alpha == 1.0 and left <= max(ENOUGH * error, EXACT)):
-                    self._slow += left > max(0.5 * error, EXACT)
+                    self._slow += left > max((0.5 if self._second else ENOUGH) * error, EXACT)
                     self._costates = direction.costates
                     return Step(self._about(there, multipliers), alpha, spent)
             alpha *= 0.5

@@ -21,7 +21,8 @@ with a tenth of rho, and lambda stays.
 Last steps
 ----------
     4  after a round with e < 0.01 and t <= 1e-4, Newton's method on the constraints in force (`solvers.active_set`),
-       from lambda+ to violations below `EXACT`; where it fails, the rounds go on, and 4 waits for a tenth of e and t
+       from lambda+ to violations below `EXACT`; where it fails, the rounds go on, and 4 waits for a tenth of e and t (a
+       hundredth without second derivatives)
 
 The last steps take second derivatives where the rounds have taken them in, or where they are cheap. Without them the
 solve ends when all constraints are met within `tol_violation`, e is as small, and L has no slope left by the tests that
@@ -247,7 +248,8 @@ class Constrained(Method):
         if step.iterate is not None:
             self._keep(step.iterate)
             return step
-        before, self._before, self._switch = self._before, None, 0.1 * self._switch
+        before, self._before = self._before, None
+        self._switch *= 0.1 if self._curved else 0.01
         return Step(before, rollouts=step.rollouts, rejected=True)
 
     def _restart(self) -> Iterate:

@@ -144,7 +144,9 @@ class Iterate:
 
     def hamiltonian(self, costates: Array) -> LQProblem:
         """The LQ problem with the Hessians of l + lambda'f for given costates lambda. Shape (N + 1, ndx)."""
-        (Q, R, M, _, _), weights = self.problem.complete(self.trajectory, self.expansion)
+        full, weights = self.problem.complete(self.trajectory, self.expansion)
+        Q, R, M, _, _ = full
+        costates = costates + self.problem.complete_ends(self.trajectory, self.linearization, full)
         xx, ux, uu = self.problem.dynamics.hessian(self.trajectory, costates, weights, self.linearization, self.ends)
         for whole, part in ((Q, xx), (R, uu), (M, ux)):
             whole += part
