@@ -2,8 +2,8 @@
 
 Run with    python demos/receding_horizon.py [picture.png]
 
-Each plan has 50 knots and one iteration, or three for the swing-up. Printed are the times of the plans beside the control
-period; the picture shows how far each robot is from its task, and when it is pushed.
+Each plan has 50 knots and one iteration, or three for the swing-up. Printed are the times of the plans beside the
+control period; the picture shows how far each robot is from its task, and when it is pushed.
 """
 
 import copy
