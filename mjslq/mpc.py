@@ -116,7 +116,8 @@ class MPC:
     period : float
         Time between calls of `step`; the step of the horizon unless given. [s]
     replan_every : int
-        Periods from plan to plan; between them the feedback of the plan acts.
+        Periods from plan to plan; between them the feedback of the plan acts. With 1, plans end with their last step,
+        unless the option `lean` is given: half the time of a single iteration.
     delay : float
         Time from the measurement of a state until the control that answers it acts. The state is predicted over it. [s]
     deadline : float
@@ -165,6 +166,8 @@ class MPC:
         self._options, self._guess = dict(options), guess
         if deadline is not None:
             self._options["deadline"] = positive("deadline", deadline)
+        # With a plan for each state its gains serve the next start alone: those of the sweep before do as well.
+        self._options.setdefault("lean", replan_every == 1)
         _refuse_options(method, problem, self._options)
         self._deadline = self._interval if deadline is None else float(deadline)
         self.reset()

@@ -41,8 +41,12 @@ class Stopping:
     """Steps, tried ones that were rejected included."""
     deadline: float | None = None
     """Wall time after which the best iterate has to do. [s]"""
+    lean: bool = False
+    """Whether the last of `max_iterations` ends with its step: the gains are those of the iterate before it, and
+    gradient and multipliers are not found. Half the time of a single iteration; for receding horizons."""
 
     def __post_init__(self) -> None:
+        _check_flag("lean", self.lean)
         for name in ("tol_direction", "tol_gradient"):
             check_tolerance(name, getattr(self, name))
         limit = self.max_iterations

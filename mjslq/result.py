@@ -34,7 +34,7 @@ class Result:
     """Steps taken; trials that were rejected do not count."""
     gradient_norm: float
     """Euclidean norm of the projected gradient dJ/dU at `trajectory`: without the entries that push against limits.
-    With constraints, the one of the Lagrangian."""
+    With constraints, the one of the Lagrangian. Infinite where it was not found."""
     trajectory: Trajectory
     """The best iterate."""
     gains: Array | None

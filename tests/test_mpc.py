@@ -115,6 +115,29 @@ def test_a_plan_that_fails_leaves_the_last_one_in_force():
         mpc.step([6.0, 0.0], 0.0)
 
 
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_lean_solves_end_with_their_last_step(iterations):
+    problem = cart_pole()
+    lean = mjslq.solve(problem, max_iterations=iterations, lean=True)
+    whole = mjslq.solve(problem, max_iterations=iterations)
+    before = mjslq.solve(problem, max_iterations=iterations - 1)
+    assert np.array_equal(lean.trajectory.X, whole.trajectory.X) and lean.cost == whole.cost
+    assert np.array_equal(lean.gains, before.gains) and not np.array_equal(lean.gains, whole.gains)
+    assert (lean.iterations, lean.status, lean.gradient_norm) == (iterations, mjslq.Status.MAX_ITERATIONS, np.inf)
+    assert mjslq.solve(problem, lean=True).success
+
+
+def test_plans_linearize_once_unless_their_gains_are_needed(monkeypatch):
+    """With a plan for each state one linearization an iteration; with feedback between plans one more."""
+    calls = []
+    linearize = mjslq.MujocoDynamics.linearize
+    monkeypatch.setattr(mjslq.MujocoDynamics, "linearize", lambda *args: (calls.append(1), linearize(*args))[1])
+    for options, number in (({}, 1), ({"replan_every": 2}, 2), ({"iterations": 2}, 2), ({"lean": False}, 2)):
+        calls.clear()
+        mjslq.MPC(cart_pole(), **options).step([0.0, 3.0, 0.0, 0.0], 0.0)
+        assert len(calls) == number, options
+
+
 def test_statistics_count_plans_and_missed_deadlines():
     slow = mjslq.MPC(double_integrator(), deadline=1e-9)
     slow.step([0.0, 0.0], 0.0)

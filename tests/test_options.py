@@ -89,6 +89,7 @@ STOPPING = {
     "tol_gradient": TOLERANCE,
     "max_iterations": ([0, 1, np.int64(3)], [-1, 2.5, "many", True]),
     "deadline": ([None, 1e-3, 5], [0.0, -1.0, math.nan, math.inf, "soon"]),
+    "lean": ([True, False], [1, "yes"]),
 }
 
 

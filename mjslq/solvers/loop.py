@@ -49,6 +49,8 @@ class Outcome:
     """Of the constraints."""
     error: str = ""
     """Traceback of the error that ended the solve."""
+    lean: bool = False
+    """Whether nothing is to be found at the last iterate (`Stopping.lean`)."""
 
 
 def descend(start: Iterate, method: Method, stopping: Stopping, monitor: Monitor, interrupts: Interrupts) -> Outcome:
@@ -111,6 +113,9 @@ def _descend(
             outcome.status = Status.STOPPED if step.iterate is not None else outcome.status
             return
         if step.iterate is None:
+            return
+        if stopping.lean and iteration + 1 == stopping.max_iterations and not step.rejected:
+            outcome.status, outcome.lean = Status.MAX_ITERATIONS, outcome.iterate.gaps is None
             return
 
 
@@ -176,6 +181,8 @@ def _finish(outcome: Outcome, method: Method) -> None:
         last, outcome.iterate = outcome.iterate, method.best(outcome.iterate, outcome.status)
         moved, here = last is not outcome.iterate, outcome.iterate
         outcome.duals = method.duals(here)
+        if outcome.lean:
+            return
         outcome.gradient_norm = here.gradient_norm
         if here.problem.box.bounded and np.isfinite(here.gradient_norm):
             outcome.multipliers = here.projected_gradient - here.gradient
