@@ -19,8 +19,7 @@ import copy
 import threading
 from collections.abc import Callable
 from functools import cached_property, partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +28,7 @@ from mjslq.contact import Contact
 from mjslq.cores import usable_cores
 from mjslq.dynamics.dynamics import Curvature, Dynamics, Feedback, Linearization, Output
 from mjslq.dynamics.mujoco import contacts
+from mjslq.dynamics.mujoco.constructors import Constructors
 from mjslq.dynamics.mujoco.keyframes import Keyframes
 from mjslq.dynamics.records import curvature_of
 from mjslq.scene import Scene
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from mjslq.dynamics.mujoco.inverse.curvature.hessians import InverseHessians
     from mjslq.dynamics.mujoco.inverse.jacobians import InverseJacobians
     from mjslq.dynamics.mujoco.inverse.runge_kutta import RungeKuttaJacobians
-    from mjslq.dynamics.mujoco.meshes import Packages
     from mjslq.dynamics.mujoco.simulator import Simulator
 
 
@@ -49,7 +48,7 @@ SMOOTH_PRICE, CONSTRAINED_PRICE = 2.0, 10.0
 """Linearizations that second derivatives in closed form cost, about: of smooth models, of those with contacts, ..."""
 
 
-class MujocoDynamics(Keyframes, Dynamics):
+class MujocoDynamics(Constructors, Keyframes, Dynamics):
     """A MuJoCo model; make one with `from_path`, `from_xml`, `from_spec` or `from_model`.
 
     All four take the same options:
@@ -131,83 +130,6 @@ class MujocoDynamics(Keyframes, Dynamics):
         self._eps, self._centered = positive("eps", eps), bool(centered)
         self.space = state_space(model)
         self._lock = threading.Lock()
-
-    @classmethod
-    def from_path(
-        cls,
-        path: str | Path,
-        timestep: float | None = None,
-        substeps: int = 1,
-        jacobian: str = "auto",
-        threads: int | None = None,
-        packages: Packages = None,
-        **options: Any,
-    ) -> MujocoDynamics:
-        """Read an MJCF (.xml), URDF (.urdf) or binary (.mjb) file; see the class for the options.
-
-        A URDF has no actuators: each joint gets a motor. `mjslq.robots.robot_spec` gives more say over that,
-        and a floating base. Its meshes at package://name/... are looked for in `packages` (a folder that holds
-        packages or is one, several, or folders by name), above the file, in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH;
-        those that are left out are warned of.
-        """
-        from mjslq.dynamics.mujoco.files import check_kind, load_model
-        from mjslq.dynamics.mujoco.names import model_name
-
-        check_kind("from_path", path)
-        model = load_model(path, packages)
-        options.setdefault("name", model_name(model) or Path(path).stem)
-        return cls(model, timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options)
-
-    @classmethod
-    def from_xml(
-        cls,
-        text: str,
-        timestep: float | None = None,
-        substeps: int = 1,
-        jacobian: str = "auto",
-        threads: int | None = None,
-        **options: Any,
-    ) -> MujocoDynamics:
-        """Compile MJCF text; see the class for the options."""
-        from mjslq.dynamics.mujoco.files import model_of_text
-
-        return cls(
-            model_of_text(text), timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options
-        )
-
-    @classmethod
-    def from_spec(
-        cls,
-        spec: mujoco.MjSpec,
-        timestep: float | None = None,
-        substeps: int = 1,
-        jacobian: str = "auto",
-        threads: int | None = None,
-        **options: Any,
-    ) -> MujocoDynamics:
-        """Compile a copy of an `MjSpec`; see the class for the options."""
-        from mjslq.dynamics.mujoco.files import check_kind, compiled
-
-        check_kind("from_spec", spec)
-        return cls(
-            compiled(spec.copy()), timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options
-        )
-
-    @classmethod
-    def from_model(
-        cls,
-        model: mujoco.MjModel,
-        timestep: float | None = None,
-        substeps: int = 1,
-        jacobian: str = "auto",
-        threads: int | None = None,
-        **options: Any,
-    ) -> MujocoDynamics:
-        """Copy a compiled `MjModel`; see the class for the options."""
-        from mjslq.dynamics.mujoco.files import check_kind
-
-        check_kind("from_model", model)
-        return cls(model, timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options)
 
     def __repr__(self) -> str:
         return f"MujocoDynamics({self.name!r}, nx={self.nx}, ndx={self.ndx}, nu={self.nu}, ny={self.ny}, dt={self.dt})"
