@@ -43,6 +43,10 @@ _PROCESSORS = {"x86_64": "x86-64-v3", "amd64": "x86-64-v3"}
 """Processors for which bitcode is optimized: with vectors of four numbers, which others take in pieces."""
 
 
+_RAISED = "numba_raised"
+"""What the C function calls where the kernel has raised an exception: this must not be left when all is optimized."""
+
+
 class Code(NamedTuple):
     """A kernel as LLVM has it."""
 
@@ -175,9 +179,12 @@ def _with_entry(made: Any, arguments: tuple[Any, ...], result: Any, entry: str) 
     builder = ir.IRBuilder(function.append_basic_block())
     kind = context.call_conv.get_function_type(made.fndesc.restype, made.fndesc.argtypes)
     callee = cgutils.get_or_insert_function(module, kind, made.fndesc.llvm_func_name)
-    _status, value = context.call_conv.call_function(
+    status, value = context.call_conv.call_function(
         builder, callee, made.fndesc.restype, made.fndesc.argtypes, function.args
     )
+    raised = cgutils.get_or_insert_function(module, ir.FunctionType(ir.VoidType(), [status.excinfoptr.type]), _RAISED)
+    with builder.if_then(status.is_error):
+        builder.call(raised, [status.excinfoptr])
     if result is types.none:
         builder.ret_void()
     else:
