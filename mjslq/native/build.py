@@ -43,7 +43,7 @@ def main(arguments: list[str]) -> None:
     unknown = set(wanted) - {kernel.name for kernel in known}
     if unknown:
         raise SystemExit(f"no kernel {', '.join(sorted(unknown))}; there are: {', '.join(k.name for k in known)}")
-    total = 0
+    total, refused = 0, []
     for kernel in known:
         checksum, stored, begun = checksums[kernel.name], bitcode.read(kernel.name), time.perf_counter()
         fits = stored is not None and stored.checksum == checksum
@@ -52,7 +52,12 @@ def main(arguments: list[str]) -> None:
             continue
         if checksum is None:
             raise SystemExit("a file was changed meanwhile: run this again")
-        code = emit(kernel.function, kernel.signature, kernel.entry)
+        try:
+            code = emit(kernel.function, kernel.signature, kernel.entry)
+        except TypeError as error:
+            print(error, file=sys.stderr, flush=True)
+            refused.append(kernel.name)
+            continue
         size = bitcode.write(kernel.name, checksum, code.bitcode, code.symbols).stat().st_size
         total += size
         print(f"{kernel.name:40} {size / 1000:7.1f} kB {time.perf_counter() - begun:7.1f} s", flush=True)
@@ -60,6 +65,8 @@ def main(arguments: list[str]) -> None:
         if path.name not in {bitcode.path(kernel.name).name for kernel in known}:
             path.unlink()
             print(f"{path.name:40} deleted")
+    if refused:
+        raise SystemExit(f"not made: {', '.join(refused)}")
     print(f"{len(known)} kernels, {total / 1000:.0f} kB, for {bitcode.PLATFORM}; {time.perf_counter() - start:.0f} s")
 
 

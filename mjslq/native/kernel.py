@@ -15,7 +15,6 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any
 
 from mjslq.compiling import compilation
@@ -31,6 +30,7 @@ class Kernel:
 
     def __init__(self, name: str, function: Callable[..., Any], signature: str, module: str):
         self.name, self.function, self.signature, self.module = name, function, signature, module
+        self._address: int | None = None
         KERNELS[name] = self
 
     @property
@@ -38,17 +38,20 @@ class Kernel:
         """Name of the C function."""
         return "mjslq_" + re.sub(r"\W", "_", self.name)
 
-    @cached_property
+    @property
     def address(self) -> int:
         """Address of the C function, which is made when this is first asked for."""
-        with _lock:
-            return self._make()
+        if self._address is None:
+            with _lock:
+                if self._address is None:  # no other thread has made it meanwhile
+                    self._address = self._make()
+        return self._address
 
     def _make(self) -> int:
         from mjslq.native import machine
 
         checksum, stored = sources.checksum(self.module), bitcode.read(self.name)
-        if checksum is None:  # what was imported is not what the files say
+        if checksum is None:  # what was imported may not be what the files say
             with compilation():
                 return machine.link(*self._compiled(None), self.entry)
         if stored is not None and stored.checksum != checksum:

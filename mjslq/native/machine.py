@@ -12,6 +12,7 @@ import os
 import sys
 import tempfile
 import threading
+import time
 import zlib
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ from mjslq.native import symbols
 
 FOLDER = "MJSLQ_CACHE_DIR"
 """Environment variable that names another folder for machine code."""
+KEPT = 90 * 86400.0
+"""How long machine code is kept. [s]"""
 _lock = threading.Lock()
 
 
@@ -93,6 +96,13 @@ def folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "mjslq"
 
 
+def _forget(place: Path) -> None:
+    """Delete machine code that was kept long ago: it may be of other versions, and is made again in no time."""
+    for path in place.glob("*.o"):
+        if path.stat().st_mtime < time.time() - KEPT:
+            path.unlink()
+
+
 def recall(name: str) -> tuple[bytes, tuple[str, ...]] | None:
     """Machine code kept under a name, and the functions it calls; None where there is none, or it is damaged."""
     try:
@@ -116,6 +126,7 @@ def keep(name: str, code: bytes, names: tuple[str, ...]) -> None:
             with os.fdopen(handle, "wb") as file:
                 file.write(head + b"\n" + code)
             os.replace(part, place / f"{name}.o")
+            _forget(place)
         except BaseException:
             os.unlink(part)
             raise

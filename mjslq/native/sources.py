@@ -12,6 +12,7 @@ import re
 import time
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 """Folder of the package."""
@@ -27,18 +28,23 @@ _START = time.time()
 
 @functools.cache
 def checksum(module: str) -> str | None:
-    """Checksum of all that the kernels in `module` depend on; None where a file was changed since it was imported."""
-    total, texts = hashlib.sha256(), {}
+    """Checksum of all that the kernels in `module` depend on; None where that cannot be known.
+
+    That is so where a file was changed after this process began, which may have imported it before.
+    """
+    total: Any = hashlib.sha256()
+    texts: dict[str, str] = {}
     waiting = [*_OWN, module]
     while waiting:
         name = waiting.pop()
         if name not in texts:
-            texts[name] = _text(name)
+            path = _path(name)
+            if path is None or path.stat().st_mtime > _START:
+                return None
+            texts[name] = path.read_text(encoding="utf-8")  # with the same ends of lines on all systems
             waiting += _imported(texts[name])
     for name in sorted(texts):
         total.update(name.encode() + b"\0" + texts[name].encode() + b"\0")
-    if any(path.stat().st_mtime > _START for path in map(_path, texts) if path is not None):
-        return None
     if any(_MUJOCO.search(text) for text in texts.values()):
         total.update(metadata.version("mujoco").encode())
     return total.hexdigest()
@@ -67,11 +73,3 @@ def _path(module: str) -> Path | None:
         if path.is_file():
             return path
     return None
-
-
-@functools.cache
-def _text(module: str) -> str:
-    path = _path(module)
-    if path is None:
-        raise FileNotFoundError(f"no module {module} of mjslq is at {ROOT}")
-    return path.read_text(encoding="utf-8")  # with the same ends of lines on all systems

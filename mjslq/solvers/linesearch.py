@@ -26,7 +26,6 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from mjslq.solvers.iterate import Iterate
 from mjslq.solvers.merit import Merit
@@ -211,6 +210,8 @@ def quadratic_fit(trial: Trial) -> float | None:
 
 def exact(trial: Trial) -> float | None:
     """Minimum over (0, 1]: a geometric scan brackets it, Brent's method refines it."""
+    from scipy.optimize import minimize_scalar  # which takes as long to import as all the rest
+
     grid = [2.0**-i for i in range(12)]
     trial.ahead(*grid)
     costs = [trial.cost(alpha) for alpha in grid]
