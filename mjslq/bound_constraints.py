@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mjslq.dynamics.dynamics import Dynamics, Linearization
 from mjslq.knots import Knots
-from mjslq.quadratic import Expansion
+from mjslq.quadratic import Expansion, transposed_times
 from mjslq.residuals import BoundResidual, Jacobian
 from mjslq.trajectory import Trajectory
 from mjslq.user_function import UserFunction
@@ -69,6 +69,7 @@ class EntriesResidual(BoundResidual):
             J = np.zeros((len(knots), self.size, dynamics.nx))
             J[:, np.arange(self.size), columns] = 1.0
             self.constant_jacobian = Jacobian(J, None)
+        self.curved = dynamics.nx != dynamics.ndx
 
     def value(self, trajectory: Trajectory) -> Array:
         """See `BoundResidual.value`."""
@@ -81,6 +82,15 @@ class EntriesResidual(BoundResidual):
             return self.constant_jacobian
         bases = [self._dynamics.tangent_basis(x) for x in trajectory.X[self.knots.at]]
         return Jacobian(np.stack([basis[self._columns] for basis in bases if basis is not None]), None)
+
+    def curvature(self, trajectory: Trajectory, weights: Array, into: Expansion, output_weights: Array) -> None:
+        """See `BoundResidual.curvature`: quaternions turn along tangent directions."""
+        X = trajectory.X[self.knots.at]
+        by_entries = np.zeros_like(X)
+        by_entries[:, self._columns] = weights
+        turning = self._dynamics.space.curvature(X, by_entries)
+        if turning is not None:
+            into.Q[self.knots.at] += turning
 
 
 class EndResidual(BoundResidual):
@@ -123,13 +133,15 @@ class EndResidual(BoundResidual):
         if nx != self._dynamics.ndx:
             bases = [self._dynamics.tangent_basis(x) for x in Z[:, :nx]]
             basis = np.stack([basis for basis in bases if basis is not None])
-            xx, ux, by_end = basis.swapaxes(1, 2) @ xx @ basis, ux @ basis, by_end @ basis
+            turning = self._dynamics.space.curvature(Z[:, :nx], transposed_times(by_end, weights))
+            assert turning is not None
+            xx, ux, by_end = basis.swapaxes(1, 2) @ xx @ basis + turning, ux @ basis, by_end @ basis
         A, B = linearization.A[knots.at], linearization.B[knots.at]
         by_B = B.swapaxes(1, 2) @ xx
         into.Q[knots.at] += A.swapaxes(1, 2) @ xx @ A
         into.M[knots.at] += (by_B + ux) @ A
         into.R[knots.at] += by_B @ B + ux @ B + (ux @ B).swapaxes(1, 2) + H[:, nx:, nx:]
-        costates[knots.indices + 1] += (weights[:, None] @ by_end)[:, 0]
+        costates[knots.indices + 1] += transposed_times(by_end, weights)
 
     def at(self, t0: float) -> EndResidual:
         """See `BoundResidual.at`."""
