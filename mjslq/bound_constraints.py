@@ -66,6 +66,7 @@ class EntriesResidual(BoundResidual):
 
     def __init__(self, dynamics: Dynamics, columns: NDArray[Any], knots: Knots) -> None:
         self.knots, self.size, self._dynamics, self._columns = knots, len(columns), dynamics, columns
+        self.curved = dynamics.nx != dynamics.ndx
 
     @cached_property
     def constant_jacobian(self) -> Jacobian | None:  # type: ignore[override]
@@ -95,6 +96,15 @@ class EntriesResidual(BoundResidual):
         for n, knot in enumerate(self.knots.indices):
             basis = self._dynamics.tangent_basis(trajectory.X[knot])
             into.q[knot] += by_x[n] if basis is None else by_x[n] @ basis
+
+    def curvature(self, trajectory: Trajectory, weights: Array, into: Expansion, output_weights: Array) -> None:
+        """See `BoundResidual.curvature`: quaternions turn along tangent directions."""
+        X = trajectory.X[self.knots.at]
+        by_entries = np.zeros_like(X)
+        by_entries[:, self._columns] = weights
+        turning = self._dynamics.space.curvature(X, by_entries)
+        if turning is not None:
+            into.Q[self.knots.at] += turning
 
 
 class EndResidual(BoundResidual):
@@ -146,13 +156,15 @@ class EndResidual(BoundResidual):
         if nx != self._dynamics.ndx:
             bases = [self._dynamics.tangent_basis(x) for x in Z[:, :nx]]
             basis = np.stack([basis for basis in bases if basis is not None])
-            xx, ux, by_end = basis.swapaxes(1, 2) @ xx @ basis, ux @ basis, by_end @ basis
+            turning = self._dynamics.space.curvature(Z[:, :nx], transposed_times(by_end, weights))
+            assert turning is not None
+            xx, ux, by_end = basis.swapaxes(1, 2) @ xx @ basis + turning, ux @ basis, by_end @ basis
         A, B = linearization.A[knots.at], linearization.B[knots.at]
         by_B = B.swapaxes(1, 2) @ xx
         into.Q[knots.at] += A.swapaxes(1, 2) @ xx @ A
         into.M[knots.at] += (by_B + ux) @ A
         into.R[knots.at] += by_B @ B + ux @ B + (ux @ B).swapaxes(1, 2) + H[:, nx:, nx:]
-        costates[knots.indices + 1] += (weights[:, None] @ by_end)[:, 0]
+        costates[knots.indices + 1] += transposed_times(by_end, weights)
 
     def at(self, t0: float) -> EndResidual:
         """See `BoundResidual.at`."""

@@ -154,6 +154,7 @@ class FunctionCost(BoundTerm):
         """See `BoundTerm.complete`."""
         H = self._residual.hessians(trajectory, self._scales)
         self._residual.add_hessians(trajectory, H - positive_parts(H), into)
+        self._residual.add_turning(trajectory, self._scales, into)
 
     def at(self, t0: float) -> BoundTerm:
         """See `BoundTerm.at`."""

@@ -57,6 +57,10 @@ class Group(ABC):
     def tangent_basis(self, x: Array) -> Array:
         """Differentiate integrate(x, xi) by xi at zero. Shapes (..., nx) -> (..., nx, ndx)."""
 
+    @abstractmethod
+    def curvature(self, x: Array, g: Array) -> Array:
+        """Second derivatives of g'integrate(x, xi) by xi at zero. Shapes (..., nx) -> (..., ndx, ndx)."""
+
 
 class Rotation(Group):
     """Rotations in space: unit quaternions (w, x, y, z)."""
@@ -79,6 +83,10 @@ class Rotation(Group):
     def tangent_basis(self, x: Array) -> Array:
         """See `Group`: half of x (0, e) for the three axes e."""
         return np.stack([0.5 * rotation.product(x, axis) for axis in np.eye(4)[1:]], axis=-1)
+
+    def curvature(self, x: Array, g: Array) -> Array:
+        """See `Group`: x (1 - |xi|^2 / 8, xi/2) to second order."""
+        return -0.25 * np.vecdot(g, x)[..., None, None] * np.eye(3)
 
 
 class Motion(Group):
@@ -128,6 +136,14 @@ class Motion(Group):
         basis[..., 3:, 3:] = ROTATION.tangent_basis(x[..., 3:])
         return basis
 
+    def curvature(self, x: Array, g: Array) -> Array:
+        """See `Group`: p + R (rho + phi x rho / 2) to second order."""
+        H = np.zeros((*np.broadcast_shapes(x.shape, g.shape)[:-1], 6, 6))
+        H[..., :3, 3:] = 0.5 * rotation.skew(rotation.rotate(rotation.conjugate(x[..., 3:]), g[..., :3]))
+        H[..., 3:, :3] = H[..., :3, 3:].swapaxes(-1, -2)
+        H[..., 3:, 3:] = ROTATION.curvature(x[..., 3:], g[..., 3:])
+        return H
+
     def _relative(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Rotation vector and position of x^-1 y."""
         p = rotation.rotate(rotation.conjugate(x[..., 3:]), y[..., :3] - x[..., :3])
@@ -157,6 +173,10 @@ class Turn(Group):
     def tangent_basis(self, x: Array) -> Array:
         """See `Group`."""
         return np.stack([-x[..., 1:], x[..., :1]], axis=-2)
+
+    def curvature(self, x: Array, g: Array) -> Array:
+        """See `Group`."""
+        return -np.vecdot(g, x)[..., None, None]
 
 
 class Slide(Group):
@@ -194,6 +214,14 @@ class Slide(Group):
         basis[..., :2, 0], basis[..., :2, 1] = direction, _left(direction)
         basis[..., 2:, 2] = _left(direction)
         return basis
+
+    def curvature(self, x: Array, g: Array) -> Array:
+        """See `Group`: p + R (rho + phi J rho / 2) to second order, J the quarter turn."""
+        H = np.zeros((*np.broadcast_shapes(x.shape, g.shape)[:-1], 3, 3))
+        back = x[..., 2:] * np.array([1.0, -1.0])
+        H[..., :2, 2] = H[..., 2, :2] = -0.5 * _left(_turned(back, g[..., :2]))
+        H[..., 2:, 2:] = TURN.curvature(x[..., 2:], g[..., 2:])
+        return H
 
     def _relative(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Angle and position of x^-1 y."""

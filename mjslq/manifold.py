@@ -125,6 +125,19 @@ class StateSpace:
             basis[..., part.x[:, :, None], part.dx[:, None, :]] = part.group.tangent_basis(x[..., part.x])
         return basis
 
+    def curvature(self, x: Array, g: Array) -> Array | None:
+        """Second derivatives of g'integrate(x, dx) by dx at zero; None when they are zero.
+
+        Shapes (..., nx) -> (..., ndx, ndx).
+        """
+        if not self.parts:
+            return None
+        x, g = np.asarray(x, dtype=np.float64), np.asarray(g, dtype=np.float64)
+        H = np.zeros((*np.broadcast_shapes(x.shape, g.shape)[:-1], self.ndx, self.ndx))
+        for part in self.parts:
+            H[..., part.dx[:, :, None], part.dx[:, None, :]] = part.group.curvature(x[..., part.x], g[..., part.x])
+        return H
+
     def normalized(self, x: Array) -> Array:
         """`x` with quaternions (cosines and sines) of unit length; one of length zero raises ValueError. (..., nx)."""
         for part in self.parts:

@@ -270,6 +270,7 @@ class FunctionResidual(BoundResidual):
     def curvature(self, trajectory: Trajectory, weights: Array, into: Expansion, output_weights: Array) -> None:
         """See `BoundResidual.curvature`."""
         self.add_hessians(trajectory, self.hessians(trajectory, weights), into)
+        self.add_turning(trajectory, weights, into)
 
     def hessians(self, trajectory: Trajectory, weights: Array) -> Array:
         """d2(w_n'f)/d(x, u)2 by the entries of x and u. Shape (k, nx + nu, nx + nu)."""
@@ -284,6 +285,15 @@ class FunctionResidual(BoundResidual):
         into.Q[knots.at] += xx
         into.M[knots.at_steps] += ux[:steps]
         into.R[knots.at_steps] += H[:steps, nx:, nx:]
+
+    def add_turning(self, trajectory: Trajectory, weights: Array, into: Expansion) -> None:
+        """Add what the Hessian has in tangent directions since these turn along them, w_n'f_x d2x. (k, m) weights."""
+        if self._dynamics.nx == self._dynamics.ndx:
+            return
+        J = self._function.jacobians(self._points(trajectory), self._times)[:, :, : self._dynamics.nx]
+        turning = self._dynamics.space.curvature(trajectory.X[self.knots.at], transposed_times(J, weights))
+        if turning is not None:
+            into.Q[self.knots.at] += turning
 
     def at(self, t0: float) -> FunctionResidual:
         """See `BoundResidual.at`."""

@@ -6,9 +6,10 @@ import json
 import numpy as np
 import pytest
 from constrained_problems import arm, bryson_denham, car, cart_pole, quadrotor, reentry, starts
+from lq_problems import dense
 from typer.testing import CliRunner
 
-from mjslq import FunctionDynamics, Problem, problems, solve
+from mjslq import FunctionDynamics, MujocoDynamics, Problem, problems, solve
 from mjslq.cli import app
 from mjslq.constraints import Initial, Path, State, Terminal
 from mjslq.costs import Control
@@ -205,3 +206,33 @@ def test_the_command_line_hands_options_of_constrained_on(monkeypatch):
     told = json.loads(CliRunner().invoke(app, arguments).stdout)
     assert told["success"] and told["method"] == "constrained"
     assert told["options"]["tol_violation"] == 1e-4 and told["options"]["penalty"] == 0.1
+
+
+BALL = """<mujoco><option timestep="0.05"/><worldbody><body><joint name="ball" type="ball" damping=".1"/>
+<geom type="capsule" fromto="0 0 0 .1 .2 -.4" size=".03" mass="1"/><geom pos=".2 0 0" size=".05" mass=".5"/></body>
+</worldbody><actuator><motor joint="ball" gear="1 0 0"/><motor joint="ball" gear="0 1 0"/>
+<motor joint="ball" gear="0 0 1"/></actuator></mujoco>"""
+
+
+def test_second_derivatives_of_constraints_on_quaternions():
+    """The Hessian by the sweep's model, states eliminated, against differences of the gradient."""
+    engine, rng = MujocoDynamics.from_xml(BALL), np.random.default_rng(0)
+    x0 = engine.checked_start([0.8, 0.3, -0.4, 0.2, 0.5, -1.0, 0.7])
+    limit = np.array([0.1, *[np.inf] * 6])
+    problem = Problem(
+        engine, 6, x0, [Control(1.0)],
+        constraints=[
+            Path(lambda x, u, t: np.array([x[0] * x[1] + x[3] * u[0], x[2] ** 3 + x[4] * x[1]]), name="path"),
+            State(-limit, limit, "always", name="entry"),
+            Path(lambda x, u, t: x[0] * x[2] + x[1] * u[1] + x[5] ** 2, at="end", name="end"),
+            Terminal(lambda x: x[1] * x[2] - x[3], name="goal"),
+        ],
+    )  # fmt: skip
+    multipliers = tuple(rng.standard_normal(c.lower.shape) for c in problem.bound_constraints)
+    penalized, z, e = lagrangian(problem, multipliers), 0.3 * rng.standard_normal(18), 1e-5
+    H, _ = dense(Iterate(penalized, unknowns(problem, z)).newton)
+    units = np.eye(z.size) * e
+    expected = np.stack(
+        [gradient(penalized, unknowns(problem, z + d)) - gradient(penalized, unknowns(problem, z - d)) for d in units]
+    ) / (2.0 * e)
+    np.testing.assert_allclose(H, expected, rtol=0, atol=1e-6 * np.abs(expected).max())

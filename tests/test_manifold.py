@@ -116,6 +116,26 @@ def test_tangent_basis(name, a):
     np.testing.assert_array_equal(space.tangent_basis(np.array([other, x]))[1], space.tangent_basis(x))
 
 
+@every_space
+@given(tangents(9.0), st.integers(0, 2**32 - 1))
+@settings(max_examples=10, deadline=None)
+def test_curvature_of_tangent_directions(name, a, seed):
+    space, x, e = SPACES[name], state(name, a), 1e-2
+    g, units = np.random.default_rng(seed).standard_normal(space.nx), np.eye(space.ndx)
+    at = lambda d: space.integrate(x, d) @ g  # noqa: E731
+
+    def along(d):  # second derivative, to fourth order
+        beside, beyond = at(e * d) + at(-e * d), at(2.0 * e * d) + at(-2.0 * e * d)
+        return (16.0 * beside - beyond - 30.0 * at(0.0 * d)) / (12.0 * e * e)
+
+    squares = np.array([along(d) for d in units])
+    both = np.stack([along(units + d) for d in units])
+    expected = 0.5 * (both - squares[:, None] - squares)
+    np.testing.assert_allclose(space.curvature(x, g), expected, rtol=0, atol=1e-6 * np.abs(g).max())
+    pairs = space.curvature(np.array([STARTS[name], x]), np.array([g, g]))
+    np.testing.assert_allclose(pairs[1], space.curvature(x, g), rtol=0, atol=1e-15 * np.abs(g).max())
+
+
 @given(tangents(9.0), tangents(9.0))
 @settings(max_examples=100)
 def test_mujoco_agrees(a, b):
