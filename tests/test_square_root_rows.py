@@ -298,11 +298,17 @@ def test_hard_rows_keep_their_row_space(size, seed):
 @given(st.integers(1, 8), st.integers(0, 9), seeds, st.floats(0.0, 6.0))
 def test_merging_keeps_the_sum_of_squares(n, rows, seed, orders):
     rng = np.random.default_rng(seed)
-    T, S = np.triu(rng.standard_normal((n, n))), rng.standard_normal((rows, n + 2)) * 10.0 ** rng.uniform(0, orders)
+    whole = np.zeros((n + 2, n + 2))
+    whole[:2], whole[2:, :2] = rng.standard_normal((2, n + 2)), 7.0  # what is not to be touched
+    whole[2:, 2:] = np.triu(rng.standard_normal((n, n)))
+    S = rng.standard_normal((rows, n + 2)) * 10.0 ** rng.uniform(0, orders)
+    T = whole[2:, 2:]
     if n > 2:
         T[1] = 0.0
-    expected = T.T @ T + S[:, 2:].T @ S[:, 2:]
-    householder.merge(T, S.copy(), 0, rows, 2, np.empty(n + 2))
+    expected, before = T.T @ T + S[:, 2:].T @ S[:, 2:], whole.copy()
+    householder.merge(whole, S.copy(), 2, 0, rows, np.empty(n + 2))
+    np.testing.assert_array_equal(whole[:2], before[:2])
+    np.testing.assert_array_equal(whole[2:, :2], 7.0)
     np.testing.assert_array_equal(np.tril(T, -1), 0.0)
     np.testing.assert_allclose(T.T @ T, expected, atol=1e-12 * np.abs(expected).max())
 

@@ -9,7 +9,7 @@ d_i is 0 (hard) or 1 (weighted) such a T is made of three kinds:
 
     hard with hard          any nonsingular combination; here reflections, with column pivoting   `eliminate_hard`
     weighted minus hard     w_i <- w_i - f w_h, a shear                                            `shear`
-    weighted with weighted  orthogonal; here reflections, the largest row as pivot                 `eliminate`, `merge`
+    weighted with weighted  orthogonal; here reflections, the largest row as pivot                 `merge`
 
 and no hard row ever takes up a weighted one. Column pivoting among the hard rows keeps the factors f of the shears
 small, and the exchange of rows among the weighted ones keeps rows of very different weight apart.
@@ -63,7 +63,7 @@ def eliminate_hard(block, rows, nu, tolerance, order, V, h, work):
     return rank, used - rank
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def _pivot(block, top, rows, first, last, tolerance, V, h, norms, places, room):
     """Triangularize block[top:rows, first:last], all columns to the right following; returns the end of its rows.
 
@@ -88,7 +88,7 @@ def _pivot(block, top, rows, first, last, tolerance, V, h, norms, places, room):
         _exchange_columns(block, rows, c, column)
         norms[c], norms[column] = norms[column], norms[c]
         places[c], places[column] = places[column], places[c]
-        lead, inverse = _reflect(block[top], 0, block, top + 1, rows, c, block.shape[1], room)
+        lead, inverse = _reflect(block[top], block, top + 1, rows, c, block.shape[1], room)
         v = V[top]
         v[top] = lead
         h[top] = 1.0 / inverse
@@ -127,7 +127,7 @@ def reflect_variance(V, h, count, rows, variance):
             variance[i] = own * own * variance[i] + square * (total - square * variance[i]) / (h[j] * h[j])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def shear(S, rows, N, rank):
     """Subtract multiples of the hard rows N = [I | .] from S[:rows], so that its first `rank` columns vanish."""
     width = S.shape[1]
@@ -139,40 +139,26 @@ def shear(S, rows, N, rank):
                     S[i, j] -= factor * N[a, j]
 
 
-@njit(cache=True, nogil=True)
-def eliminate(S, rows, column, last, size, work):
-    """Make S[:rows] upper triangular in the columns from `column` to `last`; the pivot rows come first.
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def merge(T, S, first, top, rows, work):
+    """Bring T[first:, first:], upper triangular, and the rows S[top:rows, first:] into T, upper triangular again.
 
-    False when there are fewer rows than columns, or a column vanishes but for rounding, `size` being its norm before.
+    The sum of squares stays.
     """
-    width = S.shape[1]
-    for i in range(last - column):
-        c = column + i
-        if i >= rows or not _raise_largest(S, i, rows, c):
-            return False
-        _reflect(S[i], 0, S, i + 1, rows, c, width, work)
-        if not abs(S[i, c]) > SINGULAR * size[c]:
-            return False
-    return True
-
-
-@njit(cache=True, nogil=True)
-def merge(T, S, top, rows, shift, work):
-    """Bring upper triangular T and the rows S[top:rows, shift:] into T, upper triangular; the sum of squares stays."""
     n = T.shape[0]
-    for j in range(n):
+    for j in range(first, n):
         largest, where = abs(T[j, j]), -1
         for i in range(top, rows):
-            if abs(S[i, shift + j]) > largest:
-                largest, where = abs(S[i, shift + j]), i
+            if abs(S[i, j]) > largest:
+                largest, where = abs(S[i, j]), i
         if where >= 0:
             for k in range(j, n):
-                T[j, k], S[where, shift + k] = S[where, shift + k], T[j, k]
+                T[j, k], S[where, k] = S[where, k], T[j, k]
         if largest > 0.0:
-            _reflect(T[j], shift, S, top, rows, shift + j, shift + n, work)
+            _reflect(T[j], S, top, rows, j, n, work)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def solve_upper(T, first, last, X, columns):
     """Overwrite X[first:last, columns:] with T^-1 X for the rows and columns first to last of upper triangular T."""
     for i in range(last - 1, first - 1, -1):
@@ -186,7 +172,7 @@ def solve_upper(T, first, last, X, columns):
             X[i, j] *= inverse
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def cholesky_rows(S, F):
     """Overwrite F, whose upper half is that of S, with upper triangular rows F'F = S, S positive semidefinite.
 
@@ -256,14 +242,14 @@ def pivoted_cholesky_rows(S, F):
     return rank
 
 
-@njit(cache=True, nogil=True)
-def _reflect(head, shift, S, first, last, column, end, work):
-    """Reflect the row `head`, whose columns are those of S less `shift`, and S[first:last]: column -> multiple of e_1.
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _reflect(head, S, first, last, column, end, work):
+    """Reflect the row `head` and S[first:last]: column -> multiple of e_1.
 
     Only columns from `column` to `end` are touched; below the head, `column` is left as it was. Returns the first entry
     of v = (., column) and 2/v'v; zero and one where there is nothing to reflect.
     """
-    alpha = head[column - shift]
+    alpha = head[column]
     square = 0.0
     for i in range(first, last):
         square += S[i, column] * S[i, column]
@@ -273,7 +259,7 @@ def _reflect(head, shift, S, first, last, column, end, work):
     top = alpha - beta
     inverse = 1.0 / (-beta * top)  # 2 / v'v for v = (top, column)
     for j in range(column + 1, end):
-        work[j] = top * head[j - shift]
+        work[j] = top * head[j]
     four = first + (last - first) // 4 * 4  # four rows at a time keep `work` in registers
     for i in range(first, four, 4):
         a, b, c, d = S[i, column], S[i + 1, column], S[i + 2, column], S[i + 3, column]
@@ -283,10 +269,10 @@ def _reflect(head, shift, S, first, last, column, end, work):
         a = S[i, column]
         for j in range(column + 1, end):
             work[j] += a * S[i, j]
-    head[column - shift] = beta
+    head[column] = beta
     for j in range(column + 1, end):
         work[j] *= inverse
-        head[j - shift] -= top * work[j]
+        head[j] -= top * work[j]
     for i in range(first, four, 4):
         a, b, c, d = S[i, column], S[i + 1, column], S[i + 2, column], S[i + 3, column]
         for j in range(column + 1, end):
@@ -315,18 +301,3 @@ def _exchange_columns(block, rows, a, b):
     if a != b:
         for i in range(rows):
             block[i, a], block[i, b] = block[i, b], block[i, a]
-
-
-@njit(cache=True, nogil=True)
-def _raise_largest(S, top, rows, column):
-    """Exchange row `top` with the one below that is largest in `column`; False when all vanish there."""
-    largest, where = abs(S[top, column]), top
-    for i in range(top + 1, rows):
-        if abs(S[i, column]) > largest:
-            largest, where = abs(S[i, column]), i
-    if not (largest > 0.0 and np.isfinite(largest)):
-        return False
-    if where != top:
-        for j in range(column, S.shape[1]):
-            S[top, j], S[where, j] = S[where, j], S[top, j]
-    return True

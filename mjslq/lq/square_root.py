@@ -298,8 +298,8 @@ def solve(
         What may be left of the right side of a row that depends on others, in rows scaled to norm one, besides
         rounding.
     refinements : int
-        Rounds of iterative refinement. Unless given, none for an initial state given, no hard rows and pivots of
-        similar size, else one, and a second one where the first changes much.
+        Rounds of iterative refinement. Unless given, none for an initial state given, no hard rows carried back
+        and pivots of similar size, else one, and a second one where the first changes much.
 
     Returns
     -------
@@ -362,7 +362,7 @@ def factorize(
     if failed >= 0:
         raise NotPositiveDefinite(failed)
     start = initial_stage(initial, factors)
-    return Factorization(problem, rows, factors, start, slack, _rounds(rows, start, factors.T))
+    return Factorization(problem, rows, factors, start, slack, _rounds(start, factors))
 
 
 def _checked(problem: LQProblem) -> LQProblem:
@@ -385,7 +385,10 @@ def _writable(array: Array) -> Array:
     return array if array.flags.writeable else array.copy()
 
 
-def _rounds(rows: Sorting, initial: InitialStage, T: Array) -> int:
-    """Rounds of refinement that rounding asks for."""
-    pivots = np.abs(T.diagonal(axis1=1, axis2=2))
-    return int(rows.hard.scale.size > 0 or not initial.given or (pivots.max() / pivots.min()) ** 2 > WIDE)
+def _rounds(initial: InitialStage, factors: Factors) -> int:
+    """Rounds of refinement that rounding asks for: rows that are carried back gather it."""
+    pivots = np.abs(factors.T.diagonal(axis1=1, axis2=2))
+    hard = np.arange(pivots.shape[1]) < factors.pivots[:-1, None]
+    weighted = pivots[~hard]
+    spread = max(weighted.max(initial=0.0) / weighted.min(initial=np.inf), 1.0 / pivots[hard].min(initial=1.0))
+    return int(bool(factors.carried.any()) or not initial.given or spread**2 > WIDE)

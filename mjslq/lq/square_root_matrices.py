@@ -16,7 +16,6 @@ from mjslq.lq.dense import multiply
 from mjslq.lq.householder import (
     SINGULAR,
     cholesky_rows,
-    eliminate,
     eliminate_hard,
     merge,
     pivoted_cholesky_rows,
@@ -114,36 +113,41 @@ def factorize_stages(lq, hard, weighted, f):
             f.pivots[n], f.carried[n] = 0, 0
             for i in range(nu):
                 order[i] = i
-        H[:nu, :nu] = lq.R[n]
-        H[:nu, nu:] = lq.M[n]
-        H[nu:, nu:] = lq.Q[n]
+        _weights(lq, n, order, H)
         multiply(f.W[n + 1], AB, S[:nx])
-        rows = _stage_rows(H, F, S, nx, nu)
+        rows = _add_weighted(weighted, n, S, nx, nu)
+        if rank:
+            _permute(S, rows, order, work)
+        rows = _stage_rows(H, F, S, rows, nu)
         if rows < 0:
             return n
-        if weighted.start[n + 1] > weighted.start[n]:
-            rows = _add_weighted(weighted, n, S, rows, nu)
-        if rank == 0:
-            _column_norms(F, nu, S, rows, size)
-            merge(F, S, 0, rows, 0, work)
-            for i in range(nu):
-                if not abs(F[i, i]) > SINGULAR * size[i]:
-                    return n
-            _gains(block, F, rank, order, f.T[n], f.K[n], Z)
-        else:
-            S[rows : rows + nu] = F[:nu]
-            rows += nu
-            _permute(S, rows, order, work)
-            _column_norms(F, 0, S, rows, size)
+        _column_norms(F, nu, S, rows, size)
+        if rank:
+            S[rows : rows + rank] = F[:rank]
+            rows += rank
             Z[:rank] = block[:rank]
             solve_upper(Z, 0, rank, Z, rank)
             shear(S, rows, Z, rank)
-            if not eliminate(S, rows, rank, nu, size, work):
+        merge(F, S, rank, 0, rows, work)
+        for i in range(rank, nu):
+            if not abs(F[i, i]) > SINGULAR * size[i]:
                 return n
-            merge(F[nu:, nu:], S, nu - rank, rows, nu, work)
-            _gains(block, S, rank, order, f.T[n], f.K[n], Z)
+        _gains(block, F, rank, order, f.T[n], f.K[n], Z)
         _take_upper(F, nu, f.W[n])
     return -1
+
+
+@njit(cache=True, nogil=True)
+def _weights(lq, n, order, H):
+    """Upper half of [R M; M' Q] of step n, the controls in the given order."""
+    nu, nx = lq.M.shape[1:]
+    for i in range(nu):
+        a = order[i]
+        for j in range(i, nu):
+            H[i, j] = lq.R[n, a, order[j]]
+        for j in range(nx):
+            H[i, nu + j] = lq.M[n, a, j]
+    H[nu:, nu:] = lq.Q[n]
 
 
 @njit(cache=True, nogil=True)
@@ -155,7 +159,7 @@ def _terminal(lq, hard, weighted, f, H, F, S, block, work):
     if rows < 0:
         return False
     rows = _add_weighted(weighted, N, S, rows, nu)
-    merge(F[nu:, nu:], S, 0, rows, nu, work)
+    merge(F, S, nu, 0, rows, work)
     _take_upper(F, nu, f.W[N])
     f.pivots[N], f.carried[N] = 0, 0
     if hard.start[N + 1] > hard.start[N]:
@@ -186,7 +190,8 @@ def _hard_stage(hard, f, n, AB, product, block, order, work):
             break
         else:
             least = 1.0
-    reflect_variance(V, h, rank + carried, rows, noise)
+    if carried:
+        reflect_variance(V, h, rank + carried, rows, noise)
     for i in range(carried):
         f.E[n, i] = block[rank + i, order.size :]
         f.noise[n, i] = noise[rank + i]
@@ -314,16 +319,16 @@ def _column_norms(F, rows, S, more, size):
 
 
 @njit(cache=True, nogil=True)
-def _gains(block, S, rank, order, T, K, Z):
+def _gains(block, F, rank, order, T, K, Z):
     """T K = Z from the pivot rows [T Z]: the hard ones, then the weighted ones."""
     nu, nx = K.shape
     for i in range(nu):
         for j in range(i):
             T[i, j] = 0.0
         for j in range(i, nu):
-            T[i, j] = block[i, j] if i < rank else S[i - rank, j]
+            T[i, j] = block[i, j] if i < rank else F[i, j]
         for j in range(nu, nu + nx):
-            Z[i, j] = block[i, j] if i < rank else S[i - rank, j]
+            Z[i, j] = block[i, j] if i < rank else F[i, j]
     solve_upper(T, 0, nu, Z, nu)
     for i in range(nu):
         for j in range(nx):

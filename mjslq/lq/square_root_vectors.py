@@ -97,7 +97,8 @@ def _hard_offsets(hard, d, f, n, y, gap, v, slack, noise, variance):
     rows = count + hard.start[n + 1] - hard.start[n]
     used = f.pivots[n] + f.carried[n]
     reflect_vector(f.V[n], f.h[n], used, rows, y, False)
-    reflect_variance(f.V[n], f.h[n], used, rows, noise)
+    if f.carried[n] or used < rows:
+        reflect_variance(f.V[n], f.h[n], used, rows, noise)
     for i in range(f.carried[n]):
         v[n, i] = y[f.pivots[n] + i]
         variance[i] = noise[f.pivots[n] + i]
