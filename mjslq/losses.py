@@ -155,14 +155,30 @@ def _huber_bend(squares: Array, d: float) -> Array:
     return np.where(squares <= d * d, 0.0, -1.0 / (d * np.sqrt(np.maximum(squares, d * d))))
 
 
+def _smooth_abs_ratio(squares: Array, d: float) -> Array:
+    return 1.0 / _rounded(squares, d)
+
+
+def _smooth_abs_bend(squares: Array, d: float) -> Array:
+    return -1.0 / _rounded(squares, d)
+
+
+def _pseudo_huber(squares: Array, d: float) -> Array:
+    return d * _smooth_abs(squares, d)
+
+
+def _pseudo_huber_ratio(squares: Array, d: float) -> Array:
+    return d / _rounded(squares, d)
+
+
+def _pseudo_huber_bend(squares: Array, d: float) -> Array:
+    return -1.0 / (d * _rounded(squares, d))
+
+
 SHAPES = {
-    "smooth-abs": Shape(_smooth_abs, lambda s2, d: 1.0 / _rounded(s2, d), lambda s2, d: -1.0 / _rounded(s2, d)),
+    "smooth-abs": Shape(_smooth_abs, _smooth_abs_ratio, _smooth_abs_bend),
     "huber": Shape(_huber, _huber_ratio, _huber_bend),
-    "pseudo-huber": Shape(
-        lambda s2, d: d * _smooth_abs(s2, d),
-        lambda s2, d: d / _rounded(s2, d),
-        lambda s2, d: -1.0 / (d * _rounded(s2, d)),
-    ),
+    "pseudo-huber": Shape(_pseudo_huber, _pseudo_huber_ratio, _pseudo_huber_bend),
 }
 NAMES = ("quadratic", *SHAPES)
 

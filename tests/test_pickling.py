@@ -164,3 +164,14 @@ def test_a_function_that_cannot_be_imported_is_named():
     with pytest.raises((pickle.PicklingError, AttributeError), match="<lambda>"):
         pickle.dumps(system)
     pickle.loads(pickle.dumps(FunctionDynamics(njit(lambda x, u: u - x), 1, 1, 0.1)))  # travels whole
+
+
+@pytest.mark.parametrize("loss", ["quadratic", "smooth-abs", "huber", "pseudo-huber"])
+def test_losses_are_carried(loss):
+    dynamics = problems.get("cart_pole", horizon=20).dynamics
+    terms = [costs.Control(0.1), costs.State(2.0, [0.1, 0.2, 0.0, 0.0], loss=loss)]
+    problem = Problem(dynamics, 20, [1.0, 0.5, 0.0, 0.0], terms)
+    twin = pickle.loads(pickle.dumps(problem))
+    U = np.full((20, 1), 0.3)
+    assert twin.cost(twin.rollout(U)) == problem.cost(problem.rollout(U))
+    assert np.array_equal(twin.gradient(twin.rollout(U)), problem.gradient(problem.rollout(U)))
