@@ -63,8 +63,9 @@ class MujocoDynamics(Dynamics):
         possible, and covers most models (those with the integrator RK4 by chaining its four stages); "transition"
         takes differences of the step, by mjd_transitionFD or, with RK4, by plain simulation, many times slower, and
         covers all; "auto" is "inverse" wherever that covers the model. What "inverse" differences is single forces,
-        rows and readings, without a step; so it is faster on all models that were measured, by the least where
-        adhesive bodies or wrapped tendons leave many. `support_report` says which, and why.
+        rows and readings, without a step; so it was the faster on every model measured, from 1.4 times (adhesive
+        bodies, wrapped tendons, integral controllers) to 60 times, with differences to both sides. `support_report`
+        says which, and why.
     threads
         How many threads `linearize` may use; None for one per usable core.
     eps, centered
