@@ -19,7 +19,7 @@ import copy
 import os
 import threading
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -346,13 +346,9 @@ class MujocoDynamics(Dynamics):
 
     @cached_property
     def _scene(self) -> Scene:
-        import mujoco
+        from mjslq.dynamics.mujoco.drawing import drawn_scene
 
-        drawn = copy.copy(self.model)
-        drawn.bvh_aabb[:] = 0.0  # half of a model with meshes, which only collisions read; zeros take no room in files
-        data = np.empty(mujoco.mj_sizeModel(drawn), np.uint8)
-        mujoco.mj_saveModel(drawn, None, data)
-        return Scene(data.tobytes(), tuple(range(self.model.nq)), self.name)
+        return drawn_scene(self.model, self.name)
 
     @cached_property
     def simulator(self) -> Simulator:
@@ -394,20 +390,10 @@ class MujocoDynamics(Dynamics):
         return self._inverse.linearize(trajectory.X, trajectory.U, substates, trajectory.X[1:])
 
     def _linearize_transition(self, trajectory: Trajectory) -> Linearization:
-        from mjslq.dynamics.mujoco import step_differences as differences
-        from mjslq.dynamics.mujoco.inverse.table.continuous import is_runge_kutta
+        from mjslq.dynamics.mujoco.step_differences import linearize_by_differences
 
-        X, U, system = trajectory.X, trajectory.U, (self.simulator, self.space, self.control_limits)
-        if is_runge_kutta(self.model):
-            one_sided, along = (
-                partial(differences.step_differences, *system),
-                partial(differences.step_columns, *system, X, U),
-            )
-            return differences.centred_differences(one_sided, X, U, self._eps, self.ny > 0, along)
-        S = self.simulator.known_substates(trajectory)
-        if self._centered:
-            return differences.centred_transition(*system, X, U, S, self._eps)
-        return self.simulator.transition(X, U, self._eps, S)
+        system = (self.simulator, self.space, self.control_limits)
+        return linearize_by_differences(*system, trajectory, self._eps, self._centered)
 
     def _keyframe_index(self, name: str) -> int:
         return self.keyframe_names.index(choose("keyframe", name, self.keyframe_names))
