@@ -64,14 +64,15 @@ FALLING = """<mujoco><option noslip_iterations="5"/><worldbody><geom type="plane
 @pytest.mark.parametrize("dim, joint, served", [(1, "", "inverse"), (3, "", "transition"),
                                                 (1, 'frictionloss=".1"', "transition")])  # fmt: skip
 def test_noslip_iterations_matter_where_there_is_friction(dim, joint, served):
-    """Without it the step is the same to the last bit, which the Jacobians through the inverse dynamics rely on."""
+    """Without it the step is the same, which the Jacobians through the inverse dynamics rely on."""
     dynamics = MujocoDynamics.from_xml(FALLING.format(dim=dim, joint=joint))
     assert dynamics.jacobian == served
     plain = MujocoDynamics.from_xml(FALLING.format(dim=dim, joint=joint).replace('"5"', '"0"'))
     x0 = dynamics.initial_state
     x0[dynamics.model.nq :] = 0.3, 0.1, -0.2, 0.5, 0.4, 0.3, 1.0
     ours, theirs = (system.rollout(x0, np.zeros((20, 0))).X for system in (dynamics, plain))
-    assert (ours == theirs).all() == (served == "inverse")
+    apart = np.abs(ours - theirs).max()
+    assert apart < 1e-13 if served == "inverse" else apart > 1e-3
 
 
 def test_ipc_contacts_are_refused():

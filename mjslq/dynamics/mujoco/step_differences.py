@@ -20,9 +20,11 @@ from functools import partial
 
 import numpy as np
 
+from mjslq.dynamics.mujoco.inverse.table.continuous import is_runge_kutta
 from mjslq.dynamics.mujoco.simulator import Simulator
 from mjslq.dynamics.records import Linearization
 from mjslq.manifold import Indices, StateSpace
+from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
 
 _JUMP = 1e-3
@@ -34,6 +36,21 @@ OneSided = Callable[[Array, Array, float], Linearization]
 Along = Callable[[Indices, Indices, float], tuple[Array, Array]]
 """along(knots, columns, e) -> columns of (A, B) and of (C, D), see `step_columns`."""
 Flags = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+
+
+def linearize_by_differences(
+    simulator: Simulator, space: StateSpace, limits: Array, trajectory: Trajectory, eps: float, centered: bool
+) -> Linearization:
+    """Jacobians of the steps of a trajectory, by mjd_transitionFD or, where that refuses, by plain steps."""
+    X, U = trajectory.X, trajectory.U
+    if is_runge_kutta(simulator.model):
+        one_sided = partial(step_differences, simulator, space, limits)
+        along = partial(step_columns, simulator, space, limits, X, U)
+        return centred_differences(one_sided, X, U, eps, simulator.model.nsensordata > 0, along)
+    S = simulator.known_substates(trajectory)
+    if centered:
+        return centred_transition(simulator, space, limits, X, U, S, eps)
+    return simulator.transition(X, U, eps, S)
 
 
 def centred_differences(
