@@ -41,8 +41,12 @@ def test_ctrl_c_from_outside():
     """While the solver itself is at work, which would go on for ever."""
     problem = problems.get("drag_particle", beta=0.5, horizon=400)
     timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
-    result = solve(problem, "gradient", max_iterations=10**9, tol=0.0, keep_iterates=False)
+
+    def callback(entry):
+        if entry.iteration == 0:  # from then on there is an iterate to keep
+            timer.start()
+
+    result = solve(problem, "gradient", max_iterations=10**9, tol=0.0, keep_iterates=False, callback=callback)
     timer.join()
     assert result.status is Status.INTERRUPTED
     assert result.cost == problem.cost(result.trajectory)
