@@ -17,6 +17,7 @@ import typer
 
 from mjslq.commands import explaining, measuring, sweeping, tasks
 from mjslq.commands.common import (
+    MODELS,
     Host,
     Json,
     Port,
@@ -121,11 +122,17 @@ def solve(
 
 @app.command()
 def view(
-    file: Annotated[Path, typer.Argument(help="A result that `solve --save` wrote.")],
+    file: Annotated[Path, typer.Argument(help="A result that `solve --save` wrote, or a model (.xml, .urdf, .mjb).")],
     host: Host = "127.0.0.1",
     port: Port = 8080,
 ) -> None:
-    """Show a saved result in a browser."""
+    """Show a saved result in a browser; or a model, with its keyframes and a slider for each joint."""
+    if file.suffix.lower() in MODELS:
+        from mjslq.dynamics.mujoco import MujocoDynamics
+        from mjslq.viewer.model_view import view_model
+
+        view_model(MujocoDynamics.from_path(file), host, port)
+        return
     from mjslq.result import load
     from mjslq.viewer import view as show
 

@@ -15,6 +15,8 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", "-s", metavar="NAME=VALUE", help="Set a parameter of the problem, or an option."),
 ]
+MODELS = (".xml", ".urdf", ".mjb")
+"""Endings of model files."""
 View = Annotated[bool, typer.Option("--view", help="Show the result in a browser.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the numbers as one JSON object.")]
 
@@ -26,7 +28,7 @@ def is_task(what: str) -> bool:
 
 def refuse_model(what: str) -> None:
     """Refuse a model where a problem is wanted: a model has no cost, which takes a few lines of Python."""
-    if Path(what).suffix.lower() in (".xml", ".urdf", ".mjb"):
+    if Path(what).suffix.lower() in MODELS:
         raise ValueError(
             f"{what!r} is a model, and a problem has a cost besides: `mjslq new {what}` writes a task file to begin "
             f"with; or pose it in Python, as in mjslq.solve(mjslq.Problem(mjslq.MujocoDynamics.from_path({what!r}), "

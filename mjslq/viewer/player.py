@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 import time as clock
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from mjslq.viewer.controls import GHOSTS, Actions, Controls
 from mjslq.viewer.motion import Motion
 from mjslq.viewer.playback import Playback
 from mjslq.viewer.scene import SceneView, quiet
+from mjslq.viewer.serving import address, open_server
 
 _FRAMES = 30.0  # sent to the browser a second
 _MARKS = 10.0  # moves of the plots' marks a second; each resends the curves
@@ -106,8 +106,7 @@ class Player:
     @property
     def url(self) -> str:
         """Where to point the browser: the port is not the one asked for when that was taken."""
-        host = "127.0.0.1" if self._host == "0.0.0.0" else self._host
-        return f"http://{host}:{self.server.get_port()}"
+        return address(self._host, self.server)
 
     @property
     def running(self) -> bool:
@@ -135,9 +134,7 @@ class Player:
             if self._server is not None:
                 return
             self._ended.clear()
-            _refuse_foreign_host(self._host)
-            with quiet():
-                self._server = viser.ViserServer(self._host, self._wanted_port, label="mjslq", verbose=False)
+            self._server = open_server(self._host, self._wanted_port)
             try:
                 self._build(self._server)
             except BaseException:
@@ -331,16 +328,6 @@ class Player:
                 last = now
                 if moved or not self._playback.playing:
                     self._refresh()
-
-
-def _refuse_foreign_host(host: str) -> None:
-    """Refuse an address that is none of this machine's, at which Viser would wait for ever."""
-    try:
-        family, kind, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind) as trial:
-            trial.bind(address)
-    except OSError as error:
-        raise ValueError(f"the viewer cannot listen at {host!r}: {error.strerror or error}") from None
 
 
 def _nearest_iterate(result: Result) -> int | None:
