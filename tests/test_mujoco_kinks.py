@@ -211,3 +211,19 @@ def start(dynamics: MujocoDynamics):
 
 SLIDING = """<mujoco><option timestep="0.002"/><worldbody><geom type="plane" size="1 1 1"/>
   <body pos="0 0 .1"><freejoint/><geom type="box" size=".2 .1 .1" mass="1"/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("gap, slope", [(3e-7, 2.0), (3e-7, 0.0), (3e-7, 1.5), (1.0, 2.0)])
+def test_a_kink_close_by_does_not_excuse_a_wrong_derivative(gap, slope):
+    """x+ = x + u + max(x - gap, 0): at x = 0 its derivative is 1."""
+    dynamics = FunctionDynamics(
+        lambda x, u, t: x + u + np.maximum(x - gap, 0.0),
+        1,
+        1,
+        0.1,
+        integrator="map",
+        jacobian=lambda x, u, t: (np.array([[slope]]), np.array([[1.0]])),
+    )
+    check = dynamics.check_derivatives(dynamics.rollout([0.0], np.zeros((1, 1))))
+    assert check.jumps["A"] == ()
+    assert check.suspects == ([] if slope == 1.5 else ["A"])

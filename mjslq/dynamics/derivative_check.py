@@ -10,9 +10,9 @@ An entry is off where |j - j_0| > `TOLERANCE` max|J_0|. There the one-sided diff
 
     kink        they differ, as where a contact opens, a joint stands at its limit or a control at its own, and j is one
                 of the two or lies between them, for some eps: a kink may be close by
-    jump        they have no limit, and grow with 1/eps, since the step itself jumps: two capsules that lie parallel,
-                whose contacts come and go, or a collision found by iteration. They change from one eps to the next by
-                more than a third of what j is off, on the side where they change less
+    jump        on a side they have no limit, and grow with 1/eps, since the step itself jumps there, or within eps: two
+                capsules that lie parallel, whose contacts come and go, or a collision found by iteration. From each eps
+                to the next they change by more than a third of what j is off, and once they grow threefold
     unsolved    they are those of a constraint solver that stops at its tolerance before its solution is there, and j
                 is the derivative of the solution itself (`Dynamics.fully_solved`)
     wrong       else: j agrees with neither side
@@ -70,7 +70,7 @@ class DerivativeCheck:
     kinks: dict[str, tuple[int, ...]] = field(default_factory=dict)
     """Knots where it is above `TOLERANCE`, and only because of a kink."""
     jumps: dict[str, tuple[int, ...]] = field(default_factory=dict)
-    """Knots where it is above `TOLERANCE`, and no one-sided difference has a limit: the step jumps."""
+    """Knots where it is above `TOLERANCE`, and one-sided differences grow as they get smaller: the step jumps."""
     unsolved: dict[str, tuple[int, ...]] = field(default_factory=dict)
     """Knots where it is above `TOLERANCE`, but right for a constraint solver that converges."""
     wrong: dict[str, tuple[int, ...]] = field(default_factory=dict)
@@ -187,14 +187,17 @@ def _explained(ours: Array, pairs: list[tuple[Array, Array]], tolerance: float) 
 
 
 def _in_a_jump(ours: Array, pairs: list[tuple[Array, Array]]) -> Flags:
-    """Which entries are less than three times as far from the differences as these are from each other.
+    """Which entries have differences, on either side, that change too much with their size to be told from.
 
-    From one step size to the next, that is, on the side and between the two sizes where they change least.
+    From each size to the next by a third or more of what the entry is off, and once they grow threefold or more.
     """
-    found = np.ones(len(ours), bool)
+    found = np.zeros(len(ours), bool)
     for side in (0, 1):
+        rough, grown = np.ones(len(ours), bool), np.zeros(len(ours), bool)
         for wide, narrow in itertools.pairwise(pair[side] for pair in pairs):
-            found &= np.abs(ours - wide) < _REACH * np.abs(wide - narrow)
+            rough &= np.abs(ours - wide) < _REACH * np.abs(wide - narrow)
+            grown |= np.abs(narrow) > _REACH * np.abs(wide)
+        found |= rough & grown
     return found
 
 
