@@ -96,7 +96,7 @@ def solve(
         _refuse_unwritable(save)
     _announce(quiet)
     from mjslq import problems
-    from mjslq.optimize import ALIASES, CONSTRAINED, METHODS, option_names
+    from mjslq.optimize import ALIASES, METHODS, settable
     from mjslq.optimize import solve as run
     from mjslq.reports.tables import as_dict, print_summary
     from mjslq.validation import choose
@@ -104,8 +104,7 @@ def solve(
     _refuse_model(problem)
     choose("problem", problem, problems.names())
     method = choose("method", method or _default_method(), [*METHODS, *ALIASES])
-    routed = option_names(CONSTRAINED) if method == "auto" else []  # what problems with constraints take
-    parameters, options = _sort_settings(settings or [], problem, [*dict.fromkeys([*option_names(method), *routed])])
+    parameters, options = _sort_settings(settings or [], problem, settable(method))
     stated = problems.get(problem, **parameters)
     result = run(stated, method, preset=preset, verbose=0 if quiet else 1, stream=sys.stderr, **options)
     if as_json:

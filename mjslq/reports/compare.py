@@ -34,7 +34,10 @@ def compare(problem: Problem, methods: Sequence[str] = (), **options: Any) -> It
     `options` are those that all methods know: tol, max_iterations, ...
     """
     constrained = bool(problem.bound_constraints)
-    made_for_it = [name for name, entry in METHODS.items() if entry.takes_constraints is constrained]
+    made_for_it = [
+        name for name, entry in METHODS.items()
+        if entry.takes_constraints is constrained and (problem.free_start is None or entry.takes_free_start)
+    ]  # fmt: skip
     for method in [choose("method", ALIASES.get(method, method), METHODS) for method in methods or made_for_it]:
         solve(problem, method, **(options | {"max_iterations": 1}))  # so that no method pays for another's compiling
         yield Entry(method, solve(problem, method, **options))
