@@ -245,6 +245,12 @@ def option_names(method: str) -> list[str]:
     return names(ALIASES.get(method, method))
 
 
+def settable(method: str) -> list[str]:
+    """Names of all options that `solve` may take: for "auto" also those of what it stands for with constraints."""
+    routed = option_names(CONSTRAINED) if method == "auto" else []
+    return list(dict.fromkeys([*option_names(method), *routed]))
+
+
 def _settings(problem: Problem, method: str, preset: str | None, asked: dict[str, Any]) -> dict[str, Any]:
     """Options of the problem as far as the method has them, over them the preset's, over these what was asked for."""
     known = names(method)

@@ -11,9 +11,11 @@ from mjslq.constraints import Initial, Path, State, Terminal
 from mjslq.costs import Control, Function
 from mjslq.costs import State as Near
 from mjslq.lq import box as box_module
+from mjslq.lq import square_root
 from mjslq.lq.box import Box, solve_in_box
 from mjslq.lq.problem import LQProblem, NotPositiveDefinite
 from mjslq.lq.riccati import solve as sweep
+from mjslq.reports.compare import compare
 
 DOUBLE = FunctionDynamics(
     lambda x, u: np.array([x[1], u[0]]), 2, 1, 0.1, integrator="rk4", state_names=("position", "speed")
@@ -283,3 +285,20 @@ def test_what_is_refused():
     for method in ("newton", "trust-region", "gradient"):
         with pytest.raises(ValueError, match="takes no free initial state; these do: auto, slq, constrained"):
             solve(problem(Initial(free=0)), method)
+
+
+def test_comparisons_leave_out_what_takes_no_free_start():
+    problem = Problem(
+        DOUBLE, 5, [0.0, 0.0], [Control(1.0), Near([1.0, 1.0], [1.0, 0.0], "always")], constraints=[Initial(free=0)]
+    )
+    assert [entry.method for entry in compare(problem)] == ["auto", "slq"]
+
+
+def test_the_square_root_sweep_takes_free_starts_by_its_own_argument():
+    lq = free_problem(np.random.default_rng(0))
+    with pytest.raises(ValueError, match=r"problem.free must be None; say by initial="):
+        square_root.solve(lq)
+    everything = np.ones(lq.q.shape[1], np.bool_)
+    np.testing.assert_allclose(
+        square_root.solve(lq._replace(free=None), initial="free").X, sweep(lq._replace(free=everything)).X, atol=1e-9
+    )

@@ -16,20 +16,16 @@ from mjslq.commands.common import default_method, is_task, pairs_of, read_value,
 def posed(what: str, method: str | None, settings: list[str]) -> tuple[Any, str, dict[str, Any]]:
     """The problem of a name or a task file, the method to solve it by, and its options."""
     from mjslq import problems
-    from mjslq.optimize import ALIASES, CONSTRAINED, METHODS, option_names
+    from mjslq.optimize import ALIASES, METHODS, settable
     from mjslq.validation import choose
 
     if method is not None:
         choose("method", method, [*METHODS, *ALIASES])
-
-    def names(of: str) -> list[str]:
-        return [*dict.fromkeys([*option_names(of), *(option_names(CONSTRAINED) if of == "auto" else [])])]
-
     if is_task(what):
         from mjslq.tasks import load_task
 
         task = load_task(what)
-        known = dict.fromkeys([*names(method or task.method), *task.options])
+        known = dict.fromkeys([*settable(method or task.method), *task.options])
         asked = {name: read_value(text) for name, text in pairs_of(settings, "max_iterations=100")}
         for name in asked:
             choose("option", name, known)
@@ -37,7 +33,7 @@ def posed(what: str, method: str | None, settings: list[str]) -> tuple[Any, str,
     refuse_model(what)
     choose("problem", what, problems.names())
     method = method or default_method()
-    parameters, options = sort_settings(settings, what, names(method))
+    parameters, options = sort_settings(settings, what, settable(method))
     return problems.get(what, **parameters), method, options
 
 

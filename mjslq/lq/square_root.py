@@ -366,6 +366,8 @@ def factorize(
 
 
 def _checked(problem: LQProblem) -> LQProblem:
+    if problem.free is not None:
+        raise ValueError("problem.free must be None; say by initial= what of the initial state is free")
     B = as_array("B", problem.B, ("N", "nx", "nu"))
     N, nx, nu = B.shape
     if not B.size:

@@ -38,7 +38,9 @@ def compare(problem: Problem, methods: Sequence[str] = (), **options: Any) -> It
     made_for_it = [
         name
         for name, entry in METHODS.items()
-        if (entry.takes_constraints is constrained or entry.takes_both) and (entry.takes_equalities or not equalities)
+        if (entry.takes_constraints is constrained or entry.takes_both)
+        and (entry.takes_equalities or not equalities)
+        and (entry.takes_free_start or problem.free_start is None)
     ]
     for method in [choose("method", ALIASES.get(method, method), METHODS) for method in methods or made_for_it]:
         solve(problem, method, **(options | {"max_iterations": 1}))  # so that no method pays for another's compiling

@@ -118,7 +118,7 @@ class Constrained(Method):
         self._augmented: Augmented | None = None
         self._active: ActiveSet | None = None
         self._before: Iterate | None = None  # where the last steps began, while they are being made
-        self._switch, self._lost = 1.0, False
+        self._switch, self._lost, self._last_steps = 1.0, False, 0
         self._hopeless = False
         self._given: Mapping[str, Array] = {}
         self._said = ""
@@ -213,6 +213,8 @@ class Constrained(Method):
         if self._restarts:
             how = f"with a {'larger' if self._start_is_met else 'smaller'} penalty"
             parts.append(f"{self._restarts} {'restart' if self._restarts == 1 else 'restarts'} {how}")
+        if self._last_steps:
+            parts.append(f"{self._last_steps} Newton {'step' if self._last_steps == 1 else 'steps'}")
         said = f"constrained: {', '.join(parts)}."
         return f"{self._said} {said}" if self._said else said
 
@@ -246,6 +248,7 @@ class Constrained(Method):
         """One of the last steps, or back to where they began."""
         step = Step(None) if self._lost else self._newton.step(here, direction)
         if step.iterate is not None:
+            self._last_steps += 1
             self._keep(step.iterate)
             return step
         before, self._before = self._before, None

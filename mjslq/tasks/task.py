@@ -71,13 +71,7 @@ def _options(file: TaskFile, source: Source) -> dict[str, Any]:
     with source.at("solve", "method"):
         choose("method", method, [*optimize.METHODS, *optimize.ALIASES])
     arguments = ("preset",)
-    known = dict.fromkeys(
-        [
-            *optimize.option_names(method),
-            *optimize.option_names("constrained" if method == "auto" else method),
-            *arguments,
-        ]
-    )
+    known = dict.fromkeys([*optimize.settable(method), *arguments])
     for name, value in given.items():
         with source.at("solve", name):
             choose(f"option of method {method!r}", name, known)
