@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from mjslq.status import Status as Status
     from mjslq.trajectory import Trajectory as Trajectory
     from mjslq.viewer import export_html as export_html
+    from mjslq.viewer import live as live
     from mjslq.viewer import view as view
 
 __version__ = "0.2.0"
@@ -71,6 +72,7 @@ _HOME = {
     "Status": "mjslq.status",
     "Trajectory": "mjslq.trajectory",
     "export_html": "mjslq.viewer",
+    "live": "mjslq.viewer",
     "load": "mjslq.result",
     "methods": "mjslq.optimize",
     "robot_path": "mjslq.robots",
