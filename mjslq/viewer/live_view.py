@@ -29,7 +29,7 @@ from mjslq.viewer.scene import SceneView, quiet
 GHOSTS = 4
 """Poses of the plan that are shown."""
 _FRAMES = 30.0  # sent to the browser a second
-_ASPECT = 1.2
+_ASPECT, _FARTHER = 1.2, 2.0
 Pose = Callable[[Array, Mapping[str, float]], Problem]
 """Makes the problem anew for a target (3,) [m] and weights by name."""
 
@@ -172,6 +172,9 @@ class Live:
         with self._lock:
             self.advance()
             self._view = SceneView(self._server, self._scene, self._mpc.plan.trajectory, _ASPECT)
+            seen = self._server.initial_camera  # on the first plan; what comes takes more room
+            centre = np.asarray(seen.look_at)
+            seen.position = centre + _FARTHER * (np.asarray(seen.position) - centre)
             self._add_widgets(self._server.gui)
             self.show()
         self._thread = threading.Thread(target=self._run, name="mjslq live", daemon=True)
