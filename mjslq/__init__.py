@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from mjslq.tasks.task import load_task as load_task
     from mjslq.trajectory import Trajectory as Trajectory
     from mjslq.viewer import export_html as export_html
+    from mjslq.viewer import live as live
     from mjslq.viewer import view as view
 
 __version__ = "0.2.0"
@@ -76,6 +77,7 @@ _HOME = {
     "Trajectory": "mjslq.trajectory",
     "explain": "mjslq.reports.explain",
     "export_html": "mjslq.viewer",
+    "live": "mjslq.viewer",
     "load": "mjslq.result",
     "load_task": "mjslq.tasks.task",
     "methods": "mjslq.optimize",

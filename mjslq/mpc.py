@@ -183,6 +183,21 @@ class MPC:
         self._begins = 0.0
         self._issued: deque[tuple[float, Array]] = deque()  # controls, and when they begin to act
 
+    def pose(self, problem: Problem) -> None:
+        """Go on with another problem of the same engine and horizon: another target, other weights.
+
+        The plan in force is what the next one starts from. Raises ValueError for problems of other sizes.
+        """
+        if not isinstance(problem, Problem):
+            raise ValueError(f"problem must be a mjslq.Problem, got {type(problem).__name__}")
+        (N, nx, nu), own = _sizes(problem), _sizes(self.problem)
+        if (N, nx, nu) != own:
+            raise ValueError(
+                f"the problem has {N} steps, {nx} states and {nu} controls, but the controller {own[0]}, {own[1]} and "
+                f"{own[2]}"
+            )
+        self.problem = problem
+
     @property
     def plan(self) -> Result:
         """The plan in force, which begins at `plan_time`. Raises ValueError before the first step."""
@@ -198,8 +213,8 @@ class MPC:
         """When the plan in force begins. [s]"""
         return self._begins
 
-    def step(self, x: ArrayLike, t: float) -> Array:
-        """Control for the state `x` (nx,) at time `t` [s]; plans anew when it is time to. Shape (nu,).
+    def step(self, x: ArrayLike, t: float, *, replan: bool = True) -> Array:
+        """Control for the state `x` (nx,) at time `t` [s]; plans anew when it is time to, and `replan`. Shape (nu,).
 
         Raises ValueError for states that are not finite, for times before those of earlier calls, and when the very
         first plan fails.
@@ -211,7 +226,7 @@ class MPC:
             raise ValueError(f"t must not go back, got {t:g} s after {self._last:g} s; call reset() to begin anew")
         self._last = t
         x, at = self._predicted(x, t), t + self._delay
-        if t >= self._asked + self._interval - slack:
+        if (replan or self._plan is None) and t >= self._asked + self._interval - slack:
             self._asked = t
             self._replan(x, at)
         u = self.policy(x, at - self._begins)
@@ -306,6 +321,10 @@ def moved(plan: Result, elapsed: float) -> Result:
         gains=None if plan.gains is None else later(plan.gains, N - 1),
         multipliers=multipliers,
     )
+
+
+def _sizes(problem: Problem) -> tuple[int, int, int]:
+    return problem.horizon, problem.dynamics.nx, problem.dynamics.nu
 
 
 def _made(value: Any) -> Any:

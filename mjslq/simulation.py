@@ -66,13 +66,19 @@ class ClosedLoop:
     """Time and ending of the plans."""
 
 
-class _Plant(Protocol):
+class Plant(Protocol):
     """What is controlled: it has a state, and goes ahead by a timestep."""
 
     timestep: float
+    """[s]"""
     x: Array
+    """State."""
+    bodies: tuple[str, ...]
+    """Names of the bodies that can be pushed."""
 
-    def advance(self, u: Array, t: float, pushes: Sequence[Push]) -> bool: ...
+    def advance(self, u: Array, t: float, pushes: Sequence[Push]) -> bool:
+        """One timestep from time t under the control u; whether all went well."""
+        ...
 
 
 def run(
@@ -113,7 +119,7 @@ def run(
         and for disturbances that it cannot have.
     """
     problem, period = mpc.problem, mpc.period
-    made = _plant(problem.dynamics if plant is None else plant, problem.dynamics)
+    made = plant_of(problem.dynamics if plant is None else plant, problem.dynamics)
     substeps = _whole("the control period", period, made.timestep)
     wait = _whole("the delay", nonnegative("delay", delay), made.timestep, least=0)
     M = _whole("the duration", positive("duration", duration), period)
@@ -142,6 +148,8 @@ def run(
 class _EnginePlant:
     """Any engine, step by step."""
 
+    bodies: tuple[str, ...] = ()
+
     def __init__(self, dynamics: Dynamics) -> None:
         self.dynamics, self.timestep = dynamics, float(np.ravel(dynamics.dt)[0])
         self.x = np.zeros(dynamics.nx)
@@ -160,6 +168,7 @@ class _MujocoPlant:
 
         self.model, self.data = model, mujoco.MjData(model)
         self.timestep = float(model.opt.timestep)
+        self.bodies = tuple(model.body(i).name for i in range(1, model.nbody))
 
     @property
     def x(self) -> Array:
@@ -184,9 +193,10 @@ class _MujocoPlant:
         return not any(self.data.warning[int(warning)].number for warning in bad)
 
 
-def _plant(given: Any, model: Dynamics) -> _Plant:
+def plant_of(given: Any, model: Dynamics) -> Plant:
+    """A MuJoCo model or an engine as a plant for a problem of the engine `model`; raises ValueError for others."""
     m = getattr(given, "model", given)
-    plant: _Plant
+    plant: Plant
     if hasattr(m, "opt") and hasattr(m, "nq"):
         sizes, plant = (m.nq + m.nv + m.na, m.nu), _MujocoPlant(m)
     elif isinstance(given, Dynamics):
@@ -200,14 +210,13 @@ def _plant(given: Any, model: Dynamics) -> _Plant:
     return plant
 
 
-def _sorted(disturbances: Sequence[Disturbance], plant: _Plant, ndx: int) -> tuple[list[Push], list[Kick]]:
+def _sorted(disturbances: Sequence[Disturbance], plant: Plant, ndx: int) -> tuple[list[Push], list[Kick]]:
     """Pushes and kicks apart, each checked."""
     pushes, kicks = [], []
     for i, given in enumerate(disturbances):
         name = f"disturbances[{i}]"
-        if isinstance(given, Push) and isinstance(plant, _MujocoPlant):
-            names = [plant.model.body(j).name for j in range(plant.model.nbody)]
-            choose("body", given.body, names)
+        if isinstance(given, Push) and plant.bodies:
+            choose("body", given.body, plant.bodies)
             as_array(f"{name}.force", given.force, (3,)), as_array(f"{name}.torque", given.torque, (3,))
             positive(f"{name}.duration", given.duration)
             pushes.append(given)

@@ -27,7 +27,7 @@ def solo12_jump(
     horizon: int = 100,
     timestep: float = 0.01,
     stand: float = 0.8,
-    lift: float = 1e4,
+    lift: float = 3e3,
     effort: float = 1e-2,
     limit: float = 0.0,
     contact: str = "smooth",

@@ -2,9 +2,9 @@
 
     x_0 <- x_0 (+) s_x e,    U_0 <- [ U_0 + s_u w ],    e from the normal distribution, w half noise, half a slow curve
 
-[.] clips to the limits. s_u is told relative to the limits of the controls, or to their size at the start where there
-are none. An arm without damping blows up under such controls: where `wander` is given, the start is that of a servo
-which follows a random curve of positions, x_0 + wander w, instead.
+[.] clips to the limits. s_u is told relative to half the range of the controls, or to their size at the start where
+there is none. An arm without damping blows up under such controls: where `wander` is given, the start is that of a
+servo which follows a random curve of positions, x_0 + wander w, instead.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def perturbed(problem: Problem, seed: int, case: Case) -> Problem:
     moved = problem.at(dynamics.integrate(x0, case.states * rng.standard_normal(dynamics.ndx)))
     if case.wander:
         return dataclasses.replace(moved, U0=_followed(moved, case.wander * _curve(rng, N + 1, dynamics.nv)))
-    reach, U0 = np.minimum(problem.box.upper, -problem.box.lower), np.array(problem.U0)
+    reach, U0 = 0.5 * (problem.box.upper - problem.box.lower), np.array(problem.U0)
     size = np.where(np.isfinite(reach), reach, np.maximum(np.abs(U0), 1.0))
     return dataclasses.replace(moved, U0=U0 + case.controls * size * _curve(rng, N, dynamics.nu))
 

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Any
 from mjslq.result import Result
 
 if TYPE_CHECKING:
+    from mjslq.mpc import MPC
+    from mjslq.viewer.live_view import Live
     from mjslq.viewer.player import Player as Player
 
-__all__ = ["Player", "export_html", "view"]
+__all__ = ["Player", "export_html", "live", "view"]
 
 
 def view(
@@ -45,6 +47,26 @@ def view(
     except KeyboardInterrupt:
         player.stop()
     return player
+
+
+def live(
+    mpc: MPC, plant: Any = None, host: str = "127.0.0.1", port: int = 8080, block: bool = True, **options: Any
+) -> Live:
+    """Run a controller and a plant in the browser, in real time; see `mjslq.viewer.live_view.Live` for the options.
+
+    Blocks until Ctrl-C unless `block` is False; then the caller stops the `Live` returned.
+    """
+    from mjslq.viewer.live_view import Live
+
+    shown = Live(mpc, plant, host=host, port=port, **options)
+    shown.start()
+    try:
+        print(f"live view at {shown.url}" + (" (Ctrl-C ends it)" if block else ""), flush=True)
+        if block:
+            shown.wait()
+    except KeyboardInterrupt:
+        shown.stop()
+    return shown
 
 
 def export_html(result: Result, path: str | os.PathLike[str]) -> None:

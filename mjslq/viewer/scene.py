@@ -90,7 +90,10 @@ class SceneView:
 
     def show(self, time: float) -> None:
         """Put the robot where it is at `time` [s]."""
-        positions, wxyzs = self._motion.at(time)
+        self.pose(*self._motion.at(time))
+
+    def pose(self, positions: Array, wxyzs: Array) -> None:
+        """Put the robot at a pose of all bodies, (nbody, 3) [m] and (nbody, 4)."""
         with self._server.atomic():
             _pose(self._movers, positions[None], wxyzs[None])
 
