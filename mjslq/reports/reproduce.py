@@ -11,13 +11,21 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from mjslq.reports import fukushima_yamamoto, sideris_bobrow
+from mjslq.reports import fukushima_yamamoto, sforni, sideris_bobrow
 from mjslq.reports.figures import FORMATS, Draw, save
 from mjslq.reports.rows import Row
 
-PAPERS: dict[str, Callable[[], Iterator[Row]]] = {"slq": sideris_bobrow.rows, "trust-region": fukushima_yamamoto.rows}
+PAPERS: dict[str, Callable[[], Iterator[Row]]] = {
+    "slq": sideris_bobrow.rows,
+    "trust-region": fukushima_yamamoto.rows,
+    "gopronto": sforni.rows,
+}
 """Papers by the name of their method."""
-FIGURES: dict[str, dict[str, Draw]] = {"slq": sideris_bobrow.FIGURES, "trust-region": fukushima_yamamoto.FIGURES}
+FIGURES: dict[str, dict[str, Draw]] = {
+    "slq": sideris_bobrow.FIGURES,
+    "trust-region": fukushima_yamamoto.FIGURES,
+    "gopronto": sforni.FIGURES,
+}
 """Figures that can be drawn again, by paper: name -> what makes a matplotlib figure."""
 
 
