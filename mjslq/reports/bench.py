@@ -31,6 +31,7 @@ from mjslq.lq.box import solve_in_box
 from mjslq.lq.riccati import solve as sweep
 from mjslq.optimize import solve
 from mjslq.problem import Problem
+from mjslq.reports import train
 from mjslq.solvers.iterate import Iterate
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
@@ -158,6 +159,7 @@ GROWTH: dict[str, Callable[[], dict[int, float]]] = {
     "milliseconds by the number of states": growth_with_states,
     "peak resident megabytes by iterations": growth_of_memory,
     "speed-up by threads": speedup,
+    **train.GROWTH,
 }
 """What is measured besides the cases: name -> measurement, a table of numbers by a number."""
 

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from mjslq.reports import fukushima_yamamoto, mcquade, sideris_bobrow
+from mjslq.reports import fukushima_yamamoto, mcquade, sforni, sideris_bobrow
 from mjslq.reports.figures import FORMATS, Draw, save
 from mjslq.reports.rows import Row
 
@@ -19,12 +19,14 @@ PAPERS: dict[str, Callable[[], Iterator[Row]]] = {
     "slq": sideris_bobrow.rows,
     "trust-region": fukushima_yamamoto.rows,
     "square-root-sweep": mcquade.rows,
+    "gopronto": sforni.rows,
 }
 """Papers by the name of their method."""
 FIGURES: dict[str, dict[str, Draw]] = {
     "slq": sideris_bobrow.FIGURES,
     "trust-region": fukushima_yamamoto.FIGURES,
     "square-root-sweep": mcquade.FIGURES,
+    "gopronto": sforni.FIGURES,
 }
 """Figures that can be drawn again, by paper: name -> what makes a matplotlib figure."""
 

@@ -81,7 +81,8 @@ class CurveMethod(Method):
             barrier = Barrier.of(problem, 1.0, FIRST_DELTA, self.barriers_controls)
             eps = FIRST * (self._start_cost or 1.0) / max(barrier.count, 1)
             self._take(Barrier.of(problem, eps, FIRST_DELTA, self.barriers_controls), start.cost)
-        here = CurveIterate(problem if self.barrier is None else self.barrier.problem, start.trajectory, None)
+        cost = problem if self.barrier is None else self.barrier.problem
+        here = CurveIterate(cost, start.trajectory, None, inside=self.barriers_controls)
         here = self.regulator.with_gains(here)
         self._keep(here)
         return here

@@ -12,9 +12,9 @@ gamma by `step_rule`:
     diminishing    `step_size` / (k + 1)^0.6                                                             (Remark III.3)
 
 Fixed and diminishing steps need not descend; the result is the best iterate. The gains are made before the first
-iteration, and anew when they do not stabilize (`solvers.regulator`); for the quasi-Newton rule, which uses their metric,
-also after `PATIENCE` short steps in a row. An iteration costs a rollout or two and an adjoint
-pass, N (nx + nu)^2 for dense Jacobians and N nx nu where the engine has a pullback; no array (N, nx, nx) is made.
+iteration, and anew when they do not stabilize (`solvers.regulator`); for the quasi-Newton rule, which uses their
+metric, also after `PATIENCE` short steps in a row. An iteration costs a rollout or two and an adjoint pass: Jacobians
+of a few steps at a time, or N nx nu where the engine has a pullback; no array (N, nx, nx) is made.
 
 Source: Sforni, Spedicato, Notarnicola and Notarstefano, "GoPRONTO: a feedback-based framework for nonlinear optimal
 control", Algorithms 2 to 4.

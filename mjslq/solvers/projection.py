@@ -31,10 +31,14 @@ import numpy as np
 
 from mjslq.dynamics.dynamics import Adjoint, Feedback, Sides
 from mjslq.lq.adjoint import FIXED, FREE, LOWER, UPPER
+from mjslq.lq.box import Box
 from mjslq.problem import Problem
 from mjslq.solvers.iterate import Direction, Iterate
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
+
+REMAINS = 0.05
+"""Share of a control's slack that a step leaves: next to a limit a barrier is so steep that the way back is long."""
 
 
 class Curve(NamedTuple):
@@ -62,9 +66,16 @@ class CurveIterate(Iterate):
     """A trajectory with the gains that track it; its gradient and costates are those under feedback."""
 
     def __init__(
-        self, problem: Problem, trajectory: Trajectory, K: Array | None, start: CurveIterate | None = None
+        self,
+        problem: Problem,
+        trajectory: Trajectory,
+        K: Array | None,
+        start: CurveIterate | None = None,
+        inside: bool = False,
     ) -> None:
         super().__init__(problem, trajectory)
+        self.inside = inside
+        """Whether barriers keep the controls inside of their limits, or they may lie on them."""
         self.K = K
         """Gains; None for none, which makes everything here open loop. Shape (N, nu, ndx)."""
         if start is not None and not _keeps(start, self):
@@ -72,7 +83,7 @@ class CurveIterate(Iterate):
 
     def under(self, K: Array | None, problem: Problem | None = None) -> CurveIterate:
         """The same trajectory with other gains, or as an iterate of another cost; its linearization is kept."""
-        there = CurveIterate(self.problem if problem is None else problem, self.trajectory, K)
+        there = CurveIterate(self.problem if problem is None else problem, self.trajectory, K, inside=self.inside)
         if "linearization" in self.__dict__:
             there.__dict__["linearization"] = self.linearization
         return there
@@ -131,6 +142,14 @@ class CurveIterate(Iterate):
             norm = np.sqrt(self.slope.dot(self.slope))
         return float(norm) if np.isfinite(norm) else np.inf
 
+    @property
+    def reachable(self) -> Box:
+        """Limits of the controls after a step: with barriers, `REMAINS` of the slack that there is has to remain."""
+        box, U = self.problem.box, self.trajectory.U
+        if not (self.inside and box.bounded):
+            return box
+        return Box(box.lower + REMAINS * (U - box.lower), box.upper - REMAINS * (box.upper - U))
+
     def slope_along(self, direction: Direction) -> float:
         """Derivative of the cost along a direction, by what it is under the feedback of this iterate."""
         return float(np.vdot(self.gradient, direction.k))
@@ -143,7 +162,7 @@ class CurveIterate(Iterate):
 def project(here: CurveIterate, change: Curve, alphas: Sequence[float]) -> list[CurveIterate]:
     """Iterates that multiples of a change of the curve become."""
     problem, at = here.problem, here.trajectory
-    dynamics, box = problem.dynamics, problem.box
+    dynamics, box = problem.dynamics, here.reachable
     K = np.zeros((problem.horizon, dynamics.nu, dynamics.ndx)) if here.gains is None else here.gains
     found: list[Trajectory] = []
     if here.gains is None or not dynamics.space.parts or not change.alpha.any():
@@ -155,7 +174,7 @@ def project(here: CurveIterate, change: Curve, alphas: Sequence[float]) -> list[
         for size in alphas:
             law = Feedback(dynamics.integrate(at.X, size * change.alpha), K, box.lower, box.upper)
             found += dynamics.rollouts(at.X[:1], (at.U + size * change.mu)[None], law)
-    return [CurveIterate(problem, trajectory, here.K, here) for trajectory in found]
+    return [CurveIterate(problem, trajectory, here.K, here, here.inside) for trajectory in found]
 
 
 def _keeps(here: CurveIterate, there: CurveIterate) -> bool:
