@@ -236,3 +236,15 @@ def test_second_derivatives_of_constraints_on_quaternions():
         [gradient(penalized, unknowns(problem, z + d)) - gradient(penalized, unknowns(problem, z - d)) for d in units]
     ) / (2.0 * e)
     np.testing.assert_allclose(H, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+
+
+def test_units_in_which_constraints_are_small_are_not_called_infeasible():
+    """A particle as in Bryson and Denham's problem, in millionths of the unit."""
+    unit, ends = 1e-6, [0.0, -1e-6]
+    problem = Problem(
+        bryson_denham().dynamics, 50, [0.0, unit], [Control(unit**-2)],
+        constraints=[State(None, [0.1 * unit, np.inf], name="wall"), State(ends, ends, "terminal", name="goal")],
+    )  # fmt: skip
+    result = solve(problem, tol_violation=1e-6 * unit, tol_gradient=0.0)
+    assert result.success and result.cost == pytest.approx(4.44939, abs=1e-4), result.message
+    assert result.constraint_violation <= 1e-6 * unit and "constraints rescaled" in result.message

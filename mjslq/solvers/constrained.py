@@ -36,7 +36,8 @@ Infeasible: e above 0.9 of its least value in `STALLED` rounds, and rho at least
 its start, twice at most, and then says so; it starts anew, too, where no step descends with any weight. It starts with
 a tenth of the first rho, or, from a start that meets the constraints, with a hundred times as much, and of the cost of
 the start: there the first round went astray, such as through a wall. This is a local verdict: the iterate is a
-stationary point of the violation, and there may be another way.
+stationary point of the violation, and there may be another way. Where the linearized system says that there is one
+(`solvers.feasibility`), the constraints are scaled by what is left of them, once, and the solve starts anew.
 
 Each constraint's entry is scaled by the largest gradient that it has along the start. Limits of the controls are no
 part of this: the sweeps keep to them exactly.
@@ -59,6 +60,7 @@ from mjslq.options import ConstrainedOptions
 from mjslq.solvers.active_set import EXACT, ActiveSet
 from mjslq.solvers.augmented import Augmented, scales_of, zero_multipliers
 from mjslq.solvers.auto import Auto
+from mjslq.solvers.feasibility import beyond, fixed, reducible, verdict
 from mjslq.solvers.iterate import Direction, Iterate
 from mjslq.solvers.linesearch import in_roundoff
 from mjslq.solvers.merit import Merit
@@ -84,6 +86,8 @@ WARM = 100.0
 """The weight to go on with from given multipliers: so many times the largest of them, scaled."""
 CHEAP = 20.0
 """Price of second derivatives, in linearizations, up to which the last steps use them in any case."""
+MOVABLE = 0.5
+"""Share of the squared violations below which the linearized system says that there is a way."""
 FAILURES = 4
 """Times in a row that no step descends, at most; each time the weight is divided by `GROW`."""
 
@@ -118,7 +122,7 @@ class Constrained(Method):
         self._augmented: Augmented | None = None
         self._active: ActiveSet | None = None
         self._before: Iterate | None = None  # where the last steps began, while they are being made
-        self._switch, self._lost, self._last_steps = 1.0, False, 0
+        self._switch, self._lost, self._last_steps, self._rescaled = 1.0, False, 0, False
         self._hopeless = False
         self._given: Mapping[str, Array] = {}
         self._said = ""
@@ -135,7 +139,7 @@ class Constrained(Method):
         self._active = ActiveSet(start.problem, self._scales, self._size)
         self._first_rho = self.options.penalty * self._size
         self._start_is_met = start.problem.violation(start.trajectory) <= self.options.tol_violation
-        self._said = _fixed(start, self.options.tol_violation)
+        self._said = fixed(start, self.options.tol_violation)
         self._hopeless = bool(self._said)
         here = self._restart()
         constraints = start.problem.unpenalized.bound_constraints
@@ -215,6 +219,8 @@ class Constrained(Method):
             parts.append(f"{self._restarts} {'restart' if self._restarts == 1 else 'restarts'} {how}")
         if self._last_steps:
             parts.append(f"{self._last_steps} Newton {'step' if self._last_steps == 1 else 'steps'}")
+        if self._rescaled:
+            parts.append("constraints rescaled")
         said = f"constrained: {', '.join(parts)}."
         return f"{self._said} {said}" if self._said else said
 
@@ -301,17 +307,36 @@ class Constrained(Method):
     def _give_up(self, here: Iterate, rollouts: int) -> Step:
         """Start anew with a smaller penalty, or call the problem infeasible."""
         if self._restarts < RESTARTS:
+            left = 1.0 if self._best is None else reducible(self._best.iterate, self._scales)
+            if left < MOVABLE and not self._rescaled:
+                self._rescale(self._best)
+                return Step(self._restart(), rollouts=rollouts, rejected=True)
             self._restarts += 1
             self._first_rho *= HEAVIER if self._start_is_met else LIGHTER
             if self._start_is_met:  # as heavy as it takes to let nothing pass that lowers the cost
                 self._first_rho = max(self._first_rho, HEAVIER * abs(self._start.cost))
             return Step(self._restart(), rollouts=rollouts, rejected=True)
         best = here if self._best is None else self._best.iterate
-        self._said = _verdict(best, self.options.tol_violation)
+        self._said = verdict(best, self.options.tol_violation)
+        if self._said and reducible(best, self._scales) < MOVABLE:
+            self._said += " The linearized system could meet them: give constraints units in which they are about 1."
+            return Step(None, rollouts=rollouts)
         if self._said:
             return Step(None, rollouts=rollouts, status=Status.INFEASIBLE)
         self._said = "The constraints are met, but a point of least cost that meets them was not found."
         return Step(None, rollouts=rollouts)
+
+    def _rescale(self, best: Best | None) -> None:
+        """Scale all constraints so that the largest violation that was left is one."""
+        assert best is not None
+        self._rescaled = True
+        violations = best.iterate.problem.unpenalized.bound_constraints
+        c = max(
+            float((scale * beyond(constraint, best.iterate)).max(initial=0.0))
+            for constraint, scale in zip(violations, self._scales, strict=True)
+        )
+        self._scales = tuple(scale / c for scale in self._scales)
+        self._active = ActiveSet(self._start.problem, self._scales, self._size)
 
     def _keep(self, iterate: Iterate) -> None:
         """Remember the iterate if it is the best so far."""
@@ -360,31 +385,3 @@ def _decrease(model: LQProblem, box: Box) -> float:
     except NotPositiveDefinite:
         return 0.0
     return model.value(lq.X, lq.U)
-
-
-def _fixed(start: Iterate, tol: float) -> str:
-    """Which constraints the initial state violates where nothing free enters them: nothing can be done about these."""
-    free = start.problem.free_start
-    for constraint in start.problem.unpenalized.bound_constraints:
-        if constraint.seen_at[0] > 0:
-            continue
-        J = constraint.residual.jacobian(start.trajectory, start.linearization)
-        if J.u is not None or (free is not None and isinstance(J.x, np.ndarray) and J.x[0][:, free].any()):
-            continue
-        violation = float(constraint.violation(start.trajectory)[0])
-        if violation > tol:
-            return f"The initial state itself violates {constraint.name!r}, by {violation:.3g}."
-    return ""
-
-
-def _verdict(here: Iterate, tol: float) -> str:
-    """Which constraints are violated, and where."""
-    found = []
-    for name, violation in here.problem.unpenalized.violations(here.trajectory).items():
-        knots = np.flatnonzero(violation > tol)
-        if knots.size:
-            worst = int(violation.argmax())
-            where = f"knot {knots[0]}" if knots.size == 1 else f"{knots.size} of the knots {knots[0]} to {knots[-1]}"
-            found.append((float(violation[worst]), f"{name!r} at {where}, by up to {violation[worst]:.3g}"))
-    found.sort(reverse=True)
-    return "Violated: " + "; ".join(text for _, text in found) + "." if found else ""
