@@ -10,7 +10,7 @@ import pytest
 import mjslq
 from mjslq.reports import robots
 
-QUICK = ("quadrotor, 90 deg", "Panda, Pinocchio", "G1 reach", "Solo12 stand", "quadrotor upside down")
+QUICK = ("quadrotor, 90 deg", "Panda, Pinocchio", "G1 reach", "Solo12 stand", "double pendulum")
 WANTED = [name for name, case in robots.CASES.items() if case.wanted]
 
 
