@@ -19,7 +19,7 @@ from mjslq.compiling import CompileClock
 from mjslq.solvers import loop
 from mjslq.solvers.interrupts import Interrupts
 
-METHODS = ["auto", "slq", "newton", "trust-region", "gradient"]
+METHODS = ["auto", "slq", "newton", "trust-region", "gradient", "pronto", "gopronto"]
 SWING = np.linspace(0.0, 1.0, 41)[:, None] * np.array([2.0, 0.0])
 
 
