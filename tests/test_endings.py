@@ -14,7 +14,7 @@ import mjslq
 from mjslq import Bounds, FunctionDynamics, MujocoDynamics, Problem, Status, costs, solve
 from mjslq.compiling import CompileClock
 
-METHODS = ["auto", "slq", "newton", "trust-region", "gradient"]
+METHODS = ["auto", "slq", "newton", "trust-region", "gradient", "pronto", "gopronto"]
 SWING = np.linspace(0.0, 1.0, 41)[:, None] * np.array([2.0, 0.0])
 
 

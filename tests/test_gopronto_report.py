@@ -5,7 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from mjslq.reports import bench, figures, reproduce, sforni, train
+from mjslq.lq.riccati import solve as sweep
+from mjslq.reports import bench, figures, qp_solvers, reproduce, sforni, train
 
 
 def test_the_theorem_is_reproduced():
@@ -53,7 +54,7 @@ def test_an_iteration_takes_time(method, monkeypatch):
 def test_every_row_of_the_paper_comes_out():
     rows = list(sforni.rows())
     sections = [section for section, _ in itertools.groupby(rows, key=lambda row: row.section)]
-    assert len(sections) == 7 and not any(row.verdict.startswith("differs") for row in rows)
+    assert len(sections) == 8 and not any(row.verdict.startswith("differs") for row in rows)
 
 
 @pytest.mark.slow
@@ -69,3 +70,33 @@ def test_first_order_iterations_are_cheap_and_small():
 
 def test_costs_of_figures_are_finite():
     assert np.isfinite([entry.cost for entry in sforni.solved("GoPRONTO, gradient").log]).all()
+
+
+# QP solvers
+
+
+@pytest.mark.parametrize("form", qp_solvers.FORMS)
+def test_both_forms_are_the_lq_problem(form):
+    """Their own optimality conditions, solved densely, give the sweep's controls over a short horizon."""
+    lq = qp_solvers.first_problem(2, 30)
+    P, q, A, b, controls = qp_solvers.FORMS[form](lq)
+    n, m = len(q), len(b)
+    K = np.block([[P.toarray(), A.toarray().T], [A.toarray(), np.zeros((m, m))]])
+    z = np.linalg.solve(K, np.concatenate([-q, b]))[:n]
+    np.testing.assert_allclose(z[controls], sweep(lq).U.ravel(), rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", qp_solvers.SOLVERS)
+def test_solvers_that_are_installed_solve_the_short_problem(name):
+    package, call = qp_solvers.SOLVERS[name]
+    pytest.importorskip(package)
+    lq = qp_solvers.first_problem(2, 30)
+    for make in qp_solvers.FORMS.values():
+        given = make(lq)
+        np.testing.assert_allclose(call(given)[given.controls], sweep(lq).U.ravel(), rtol=0, atol=1e-4)
+
+
+def test_solvers_that_are_missing_are_named(monkeypatch):
+    monkeypatch.setattr(qp_solvers, "SOLVERS", {"None such": ("no_such_solver", qp_solvers.by_osqp)})
+    rows = list(qp_solvers.rows(((1, 10),)))
+    assert [row.verdict for row in rows[1:]] == ["skipped: no_such_solver is not installed"] * 2

@@ -4,9 +4,10 @@ The equations and tables of the text at hand are lost: what stands beside ours a
 parameters, weights and reference are ours, too, so that no number can be the paper's; what can be reproduced is which
 method converges where, and which is faster. All solves start from the train upright at rest, theta as told.
 
-Figure 5   gradient norms of the gradient method, first-order PRONTO and GoPRONTO; 6: conjugate; 7: momentum with fixed
-           steps; 8: limited forces, by barriers. Table III: times by the number of carts. Theorem III.2: stationarity
-           with the costates under feedback. Section III-B2: first-order steps as a globalization of Newton's method.
+Table II: QP solvers (`reports.qp_solvers`), those that are installed. Table III: times by the number of carts. Figure 5:
+gradient norms of the gradient method, first-order PRONTO and GoPRONTO; 6: conjugate; 7: momentum with fixed steps; 8:
+limited forces, by barriers. Theorem III.2: stationarity with the costates under feedback. Section III-B2: first-order
+steps as a globalization of Newton's method.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy as np
 from mjslq import problems
 from mjslq.optimize import solve
 from mjslq.problem import Problem
-from mjslq.reports import figures, train
+from mjslq.reports import figures, qp_solvers, train
 from mjslq.reports.rows import Row
 from mjslq.result import Result
 from mjslq.solvers.projection import CurveIterate
@@ -72,6 +73,7 @@ def fixed(name: str) -> Result:
 def rows() -> Iterator[Row]:
     """Every statement of section V, and of the theorem."""
     yield from theorem()
+    yield from qp_solvers.rows()
     yield from convergence_of_methods()
     yield from larger_swings()
     yield from momentum()
