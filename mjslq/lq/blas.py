@@ -11,16 +11,41 @@ from mjslq.native.declare import intrinsic
 _NAME = "mjslq_dgemm"
 
 
-def _make_known() -> None:
-    import llvmlite.binding as llvm
+_KIND = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 13)
+
+
+@_KIND
+def _first_call(*arguments: Any) -> None:
+    """Find the function, and call it: small problems, which do not need it, do not wait until scipy is imported."""
     from scipy.linalg import cython_blas
 
-    capsule = cython_blas.__pyx_capi__["dgemm"]
-    api = ctypes.pythonapi
+    capsule, api = cython_blas.__pyx_capi__["dgemm"], ctypes.pythonapi
     api.PyCapsule_GetName.restype, api.PyCapsule_GetName.argtypes = ctypes.c_char_p, [ctypes.py_object]
     api.PyCapsule_GetPointer.restype = ctypes.c_void_p
     api.PyCapsule_GetPointer.argtypes = [ctypes.py_object, ctypes.c_char_p]
-    llvm.add_symbol(_NAME, api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule)))
+    _place.value = api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule))
+    _KIND(_place.value)(*arguments)
+
+
+_place = ctypes.c_void_p(ctypes.cast(_first_call, ctypes.c_void_p).value)
+"""Where the address of the function is."""
+
+
+def _make_known() -> None:
+    """Make a function that calls the one whose address is in `_place`."""
+    import llvmlite.binding as llvm
+
+    from mjslq.native import machine
+
+    given = ", ".join(f"ptr %{i}" for i in range(13))
+    text = f"""
+        define void @{_NAME}({given}) {{
+            %place = inttoptr i64 {ctypes.addressof(_place)} to ptr
+            %function = load atomic ptr, ptr %place monotonic, align 8
+            tail call void %function({given})
+            ret void
+        }}"""
+    llvm.add_symbol(_NAME, machine.link(machine.translate_text(text), (), _NAME))
 
 
 def _call(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -16,7 +16,7 @@ SMALL = 100
 """Multiply-adds below which the plain loops are used."""
 
 
-@helper(cache=True)
+@helper()  # not kept by numba, which would not make BLAS known when it finds it
 def multiply(A, B, out):
     """Out = A B."""
     rows, inner, columns = A.shape[0], A.shape[1], B.shape[1]
@@ -32,7 +32,7 @@ def multiply(A, B, out):
                 out[i, j] += a * B[k, j]
 
 
-@helper(cache=True)
+@helper()  # not kept by numba, which would not make BLAS known when it finds it
 def multiply_transposed(A, B, out):
     """Out = A' B."""
     inner, rows, columns = A.shape[0], A.shape[1], B.shape[1]

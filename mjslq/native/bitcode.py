@@ -7,7 +7,6 @@ kernel was made of (`sources`) and the names of the functions that it calls. `bu
 from __future__ import annotations
 
 import json
-import lzma
 import platform
 import sys
 from pathlib import Path
@@ -30,6 +29,8 @@ class Stored(NamedTuple):
 
     def bitcode(self) -> bytes:
         """LLVM's code."""
+        import lzma
+
         return lzma.decompress(self.compressed)
 
 
@@ -50,6 +51,8 @@ def read(name: str) -> Stored | None:
 
 def write(name: str, checksum: str, bitcode: bytes, symbols: tuple[str, ...]) -> Path:
     """Write the file of a kernel for this platform, and return its path."""
+    import lzma
+
     file = path(name)
     file.parent.mkdir(parents=True, exist_ok=True)
     head = json.dumps({"checksum": checksum, "symbols": symbols})

@@ -19,8 +19,7 @@ MODULES = (
     "mjslq.lq.problem",
     "mjslq.lq.adjoint",
     "mjslq.dynamics.mujoco.kernels",
-    "mjslq.dynamics.mujoco.inverse.kernel",
-    "mjslq.dynamics.mujoco.inverse.curvature.kernel",
+    "mjslq.dynamics.mujoco.inverse.levels",
 )
 """Modules that declare kernels. One that makes them when asked has a function `kernels()`, which makes all."""
 

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
+from mjslq.compiling import listen_to_numba
 from mjslq.native import symbols
 
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
@@ -57,6 +58,7 @@ class Helper:
         """The function as numba compiles it for calls from Python."""
         import numba
 
+        listen_to_numba()
         return numba.njit(**self._options)(self.function)
 
     @cached_property

@@ -12,6 +12,7 @@ for bit.
 
 from __future__ import annotations
 
+import importlib
 import re
 import threading
 from collections.abc import Callable
@@ -28,10 +29,20 @@ KERNELS: dict[str, Kernel] = {}
 class Kernel:
     """A C function made of a Python function that neither allocates nor raises."""
 
-    def __init__(self, name: str, function: Callable[..., Any], signature: str, module: str):
-        self.name, self.function, self.signature, self.module = name, function, signature, module
+    def __init__(self, name: str, function: Callable[..., Any] | None, signature: str, module: str):
+        self.name, self._function, self.signature, self.module = name, function, signature, module
         self._address: int | None = None
         KERNELS[name] = self
+
+    def made(self) -> Callable[..., Any]:
+        """The Python function."""
+        assert self._function is not None
+        return self._function
+
+    @property
+    def function(self) -> Callable[..., Any]:
+        """The Python function that it is made of."""
+        return self.made()
 
     @property
     def entry(self) -> str:
@@ -77,6 +88,24 @@ class Kernel:
 
         code = emit(self.function, self.signature, self.entry)
         return machine.translate(code.bitcode), code.symbols
+
+
+class _Deferred(Kernel):
+    """A kernel whose function is made when it is to be compiled, which imports the modules that it is of."""
+
+    def __init__(self, name: str, signature: str, module: str, maker: str, arguments: tuple[Any, ...]):
+        self._maker, self._arguments = maker, arguments
+        super().__init__(name, None, signature, module)
+
+    def made(self) -> Callable[..., Any]:
+        """The function."""
+        maker: Callable[..., Callable[..., Any]] = getattr(importlib.import_module(self.module), self._maker)
+        return maker(*self._arguments)
+
+
+def deferred(name: str, signature: str, module: str, maker: str, arguments: tuple[Any, ...]) -> Kernel:
+    """Declare a kernel of the function that `maker(*arguments)` of `module` makes."""
+    return _Deferred(name, signature, module, maker, arguments)
 
 
 def c_function(name: str, signature: str) -> Callable[[Callable[..., Any]], Kernel]:

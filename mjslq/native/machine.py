@@ -10,7 +10,6 @@ import hashlib
 import json
 import os
 import sys
-import tempfile
 import threading
 import time
 import zlib
@@ -26,7 +25,7 @@ FOLDER = "MJSLQ_CACHE_DIR"
 """Environment variable that names another folder for machine code."""
 KEPT = 90 * 86400.0
 """How long machine code is kept. [s]"""
-_lock = threading.Lock()
+_lock = threading.RLock()
 
 
 @functools.cache
@@ -55,7 +54,16 @@ def _engine() -> Any:
 def translate(bitcode: bytes) -> bytes:
     """Machine code, as an object file, of LLVM bitcode."""
     _target()
-    module = llvm.parse_bitcode(bitcode)
+    return _emitted(llvm.parse_bitcode(bitcode))
+
+
+def translate_text(text: str) -> bytes:
+    """The same of LLVM's language."""
+    _target()
+    return _emitted(llvm.parse_assembly(text))
+
+
+def _emitted(module: Any) -> bytes:
     module.triple = llvm.get_process_triple()
     module.verify()
     code: bytes = _machine().emit_object(module)
@@ -117,6 +125,8 @@ def recall(name: str) -> tuple[bytes, tuple[str, ...]] | None:
 
 def keep(name: str, code: bytes, names: tuple[str, ...]) -> None:
     """Keep machine code, whole or not at all; where no folder can be written to, it is made anew next time."""
+    import tempfile
+
     head = json.dumps({"checksum": zlib.crc32(code), "symbols": names}).encode()
     try:
         place = folder()

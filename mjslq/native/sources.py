@@ -10,7 +10,6 @@ import functools
 import hashlib
 import re
 import time
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ _IMPORT = re.compile(r"^(?:from\s+(mjslq[\w.]*)\s+import\s+(\([^)]*\)|[^\n]*)|im
 """Imports that are not indented: those for types only, and those inside of functions, do not count."""
 _MUJOCO = re.compile(r"^(?:import|from)\s+mujoco\b", re.MULTILINE)
 
-
 _START = time.time()
 
 
@@ -30,7 +28,8 @@ _START = time.time()
 def checksum(module: str) -> str | None:
     """Checksum of all that the kernels in `module` depend on; None where that cannot be known.
 
-    That is so where a file was changed after this process began, which may have imported it before.
+    That is so for modules that are not of mjslq, and where a file was changed after this process began, which may have
+    imported it before.
     """
     total: Any = hashlib.sha256()
     texts: dict[str, str] = {}
@@ -41,13 +40,22 @@ def checksum(module: str) -> str | None:
             path = _path(name)
             if path is None or path.stat().st_mtime > _START:
                 return None
-            texts[name] = path.read_text(encoding="utf-8")  # with the same ends of lines on all systems
-            waiting += _imported(texts[name])
+            texts[name], imported = _read(path)
+            waiting += imported
     for name in sorted(texts):
         total.update(name.encode() + b"\0" + texts[name].encode() + b"\0")
     if any(_MUJOCO.search(text) for text in texts.values()):
-        total.update(metadata.version("mujoco").encode())
+        import mujoco
+
+        total.update(mujoco.mj_versionString().encode())
     return total.hexdigest()
+
+
+@functools.cache
+def _read(path: Path) -> tuple[str, tuple[str, ...]]:
+    """Text of a module, with the same ends of lines on all systems, and what it imports."""
+    text = path.read_text(encoding="utf-8")
+    return text, tuple(_imported(text))
 
 
 def _imported(text: str) -> list[str]:
@@ -66,8 +74,11 @@ def _imported(text: str) -> list[str]:
     return found
 
 
+@functools.cache
 def _path(module: str) -> Path | None:
     """File of a module, None where there is no such module."""
+    if module.partition(".")[0] != "mjslq":
+        return None
     place = ROOT.joinpath(*module.split(".")[1:])
     for path in (place.with_name(place.name + ".py"), place / "__init__.py"):
         if path.is_file():

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mjslq.dynamics.dynamics import Linearization
+from mjslq.dynamics.mujoco.inverse import levels
 from mjslq.dynamics.mujoco.inverse.forces.unmodelled_forces import (
     covered_part,
     rest_part,
@@ -60,8 +61,6 @@ class InverseJacobians:
         Step n leads from X_n, shape (N + 1, nx), under U_n (N, nu), through substates_n (N, k - 1, nx), to ends_n
         (N, nx).
         """
-        from mjslq.dynamics.mujoco.inverse.kernel import kernel
-
         simulator, N = self._simulator, len(U)
         nu, ny, ndx = simulator.model.nu, simulator.model.nsensordata, simulator.ndx
         result = Linearization(
@@ -75,7 +74,7 @@ class InverseJacobians:
         given = {name: np.ascontiguousarray(array) for name, array in states.items()}
         for name, array in {**result._asdict(), **given}.items():
             jobs[name] = array.ctypes.data
-        simulator.workers.run(kernel(self._level).address, jobs)
+        simulator.workers.run(levels.jacobians(self._level).address, jobs)
         return result
 
     def _blank_jobs(self) -> np.ndarray[Any, Any]:
@@ -101,16 +100,15 @@ class InverseJacobians:
     @cached_property
     def _level(self) -> int:
         """How much of the kernel the model needs; see there."""
-        from mjslq.dynamics.mujoco.inverse.kernel import CONSTRAINED, FEELING, SMOOTH, WHOLE
 
         def any_of(*names: str) -> bool:
             return any(bool(self.table[name]) for name in names)
 
         if any_of("narm", "nfluid") or self._rest is not None or self.table["implicit"] == 3:
-            return WHOLE
+            return levels.WHOLE
         if any_of("sensors_accelerated", "sensors_on_rows", "sensors_differenced", "sensors_cut"):
-            return FEELING
-        return CONSTRAINED if any_of("constrained") else SMOOTH
+            return levels.FEELING
+        return levels.CONSTRAINED if any_of("constrained") else levels.SMOOTH
 
     def _workspace(self) -> dict[str, Any]:
         """Arrays for intermediate results of one worker."""

@@ -11,7 +11,8 @@ the knot: da_d = (derivatives at this step) (dq, dv, dact, du), with what the st
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -31,9 +32,8 @@ from mjslq.dynamics.mujoco.inverse.rows.constraints import find_rows
 from mjslq.dynamics.mujoco.inverse.rows.differences import mj_comPos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.spatial import compiled
 from mjslq.dynamics.mujoco.inverse.table.job import JOB, integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import LOOP, copy_into, mj_forward, mj_resetData
+from mjslq.dynamics.mujoco.kernels import copy_into, mj_forward, mj_resetData
 from mjslq.native.declare import external
-from mjslq.native.kernel import Kernel, c_function
 from mjslq.native.memory import carray
 
 mjd_quatIntegrate = external("mjd_quatIntegrate", "void(intp, float64, intp, intp, intp)")
@@ -262,32 +262,11 @@ def _feel_last_knot(job, x, odd):
         fill(matrix(job.acc_rate, job.nv, job.columns), np.nan)
 
 
-SMOOTH, CONSTRAINED, FEELING, WHOLE = range(4)
-"""How much there is to a kernel, each level with all of those before it: rigid bodies, springs, dampers, actuators with
-constant moment arms and sensors of motion; constraints, contacts among them; sensors of accelerations, contacts and
-limits, and those without a closed form; fluids, moving moment arms, forces without a closed form, the discrete
-integrator's metric."""
-
-
-NAMES = ("smooth", "constrained", "feeling", "whole")
-
-
-@functools.cache
-def kernel(level: int) -> Kernel:
-    """The loop over the horizon; what a model does not need would take long to make machine code of."""
-    return _make_kernel(f"mujoco-inverse-{NAMES[level]}", level >= CONSTRAINED, level >= FEELING, level >= WHOLE)
-
-
-def kernels() -> list[Kernel]:
-    """All of them."""
-    return [kernel(level) for level in range(len(NAMES))]
-
-
-def _make_kernel(name: str, constrained: bool, feeling: bool, whole: bool) -> Kernel:
+def make_loop(constrained: bool, feeling: bool, whole: bool) -> Callable[..., Any]:
+    """The loop over the horizon, with as much to it as the switches say (`levels`)."""
     # numba leaves out what stands behind an argument that is None, or a switch from out here that is False
     rows, odd = 1 if constrained else None, 1 if whole else None
 
-    @c_function(name, LOOP)
     def inverse(_model, _data, worker, jobs):
         """Jacobians A, B, C, D of the knots first ... last - 1; knot N has only C."""
         job = carray(jobs, worker + 1, JOB)[worker]

@@ -25,6 +25,7 @@ import numpy as np
 
 from mjslq import rotation
 from mjslq.dynamics.dynamics import Linearization
+from mjslq.dynamics.mujoco.inverse import levels
 from mjslq.dynamics.mujoco.inverse.curvature.cover import served_sensors
 from mjslq.dynamics.mujoco.inverse.table.columns import DIFFERENCED, OPEN
 from mjslq.dynamics.mujoco.inverse.table.job import SECOND_WORK
@@ -90,8 +91,6 @@ class InverseHessians:
         return [(at, S, X if X[:, :, nv:].any() else X[:, :, :nv]) for at, S, X in parts]
 
     def _run(self, N: int, arrays: dict[str, Array], weighted: bool) -> None:
-        from mjslq.dynamics.mujoco.inverse.curvature.kernel import kernel
-
         workers = self._jacobians.workers
         knots = N + 1 if weighted else N
         chunks = np.linspace(0, knots, min(workers.count, max(knots, 1)) + 1).astype(int)
@@ -100,7 +99,7 @@ class InverseHessians:
         for name, array in arrays.items():
             jobs[name] = array.ctypes.data
         feeling = weighted and bool((self._served == DIFFERENCED).any())
-        workers.run(kernel(bool(self._table["constrained"]), feeling).address, jobs)
+        workers.run(levels.second_derivatives(bool(self._table["constrained"]), feeling).address, jobs)
 
     def _blank_jobs(self) -> np.ndarray[Any, Any]:
         """Jobs as the Jacobians' kernel has them, and what this one needs besides."""

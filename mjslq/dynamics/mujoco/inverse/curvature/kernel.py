@@ -14,7 +14,8 @@ Xc and Sc are there only at knots that are marked as having an a_c apart from a_
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -48,8 +49,7 @@ from mjslq.dynamics.mujoco.inverse.rows.constraints import evaluate_rows, find_r
 from mjslq.dynamics.mujoco.inverse.rows.differences import mj_comPos, mj_kinematics
 from mjslq.dynamics.mujoco.inverse.spatial import compiled, cross_motion, inertia_times, put6, row6
 from mjslq.dynamics.mujoco.inverse.table.job import JOB, integers, matrix, vector
-from mjslq.dynamics.mujoco.kernels import LOOP, copy_into, mj_resetData
-from mjslq.native.kernel import Kernel, c_function
+from mjslq.dynamics.mujoco.kernels import copy_into, mj_resetData
 from mjslq.native.memory import carray
 
 
@@ -197,21 +197,10 @@ def _bend_step(job, x, v_next, A, B, pull, Z, Xd, Xc, Sc, apart, rows):
     return fine
 
 
-@functools.cache
-def kernel(constrained: bool, feeling: bool) -> Kernel:
+def make_loop(constrained: bool, feeling: bool) -> Callable[..., Any]:
     """The loop over the knots; with constraint rows, and with sensors by differences."""
-    return _make_kernel(f"mujoco-curvature{'-constrained' * constrained}{'-feeling' * feeling}", constrained, feeling)
-
-
-def kernels() -> list[Kernel]:
-    """All of them."""
-    return [kernel(constrained, feeling) for constrained in (False, True) for feeling in (False, True)]
-
-
-def _make_kernel(name: str, constrained: bool, feeling: bool) -> Kernel:
     rows, felt = 1 if constrained else None, 1 if feeling else None
 
-    @c_function(name, LOOP)
     def bend(_model, _data, worker, jobs):
         """Blocks of the knots first ... last - 1; knot N has only Z, of its readings."""
         job = carray(jobs, worker + 1, JOB)[worker]
