@@ -34,7 +34,8 @@ class Result:
     """Steps taken; trials that were rejected do not count."""
     gradient_norm: float
     """Euclidean norm of the projected gradient dJ/dU at `trajectory`: without the entries that push against limits.
-    With constraints, the one of the Lagrangian. Infinite where it was not found."""
+    With constraints, the one of the Lagrangian. Infinite where it was not found. Of `pronto` and `gopronto` the one by
+    the curve (alpha, mu) under feedback, barriers included: on unstable systems dJ/dU is all rounding."""
     trajectory: Trajectory
     """The best iterate."""
     gains: Array | None

@@ -241,3 +241,37 @@ def test_states_on_a_manifold(method):
 def test_the_table_says_what_they_take():
     for method in BOTH:
         assert METHODS[method].takes_constraints and not METHODS[method].takes_equalities
+
+
+def test_an_iteration_of_gopronto_makes_no_jacobian_of_all_steps(train, monkeypatch):
+    """Neither linearizations of the horizon nor Hessians of the cost: whatever would be (N, nx, nx)."""
+    from mjslq.dynamics.dynamics import Dynamics
+    from mjslq.solvers.iterate import Iterate
+
+    longest = []
+
+    def refuse(*_):
+        raise AssertionError("an array of all steps was asked for")
+
+    slice_of = type(train.dynamics).linearize_slice
+    monkeypatch.setattr(Iterate, "linearization", property(refuse))
+    monkeypatch.setattr(mjslq.Problem, "expand", refuse)
+    monkeypatch.setattr(
+        type(train.dynamics), "linearize_slice",
+        lambda self, trajectory, first, last: longest.append(last - first) or slice_of(self, trajectory, first, last),
+    )  # fmt: skip
+    assert solve(train, "gopronto").success
+    assert max(longest) <= 400 // 8  # for the gains; the pullback needs none
+    longest.clear()
+    monkeypatch.setattr(type(train.dynamics), "adjoint", Dynamics.adjoint)
+    assert solve(train, "gopronto", max_iterations=2).iterations == 2 and 0 < max(longest) <= 400 // 8
+
+
+def test_both_engines_of_the_train_have_the_same_optimum():
+    results = [
+        solve(mjslq.problems.get("cart_train", engine=engine, horizon=100, duration=2.0), "pronto", order="newton")
+        for engine in ("function", "mujoco")
+    ]
+    assert all(result.success for result in results)
+    assert results[1].cost == pytest.approx(results[0].cost, rel=1e-10)
+    np.testing.assert_allclose(results[1].trajectory.U, results[0].trajectory.U, atol=1e-5)

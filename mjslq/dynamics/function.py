@@ -28,7 +28,14 @@ from numpy.typing import ArrayLike
 from mjslq.dynamics import function_kernels as kernels
 from mjslq.dynamics.dynamics import Adjoint, Curvature, Dynamics, Feedback, Linearization, Sides
 from mjslq.dynamics.function_adjoint import adjoint_kernel, check_pullback
-from mjslq.dynamics.function_arguments import limits_of, names_of, plain, with_all_arguments
+from mjslq.dynamics.function_arguments import (
+    checked_hessian,
+    checked_jacobian,
+    limits_of,
+    names_of,
+    plain,
+    with_all_arguments,
+)
 from mjslq.dynamics.function_derivatives import Derivatives
 from mjslq.dynamics.records import curvature_of, feedback_arguments
 from mjslq.manifold import StateSpace
@@ -210,7 +217,7 @@ class FunctionDynamics(Dynamics):
         A, B = np.empty((N, self.nx, self.nx)), np.empty((N, self.nx, self.nu))
         if self._given_jacobian is not None:
             for n, t in enumerate(times):
-                A[n], B[n] = self._checked_jacobian(*self._given_jacobian(X[n], U[n], t))
+                A[n], B[n] = checked_jacobian(self._given_jacobian(X[n], U[n], t), self.nx, self.nu)
         else:
             self._steps.jacobians(times, steps, X, U, A, B)
         return Linearization(A, B, *self._linearize_outputs(X, U, np.append(times, times[-1] + steps[-1])))
@@ -272,7 +279,7 @@ class FunctionDynamics(Dynamics):
         X, U, H = trajectory.X, trajectory.U, np.zeros((N + 1, size, size))
         if self._given_hessian is not None:
             for n, t in enumerate(self._grid(N)[0]):
-                H[n] = self._checked_hessian(self._given_hessian(X[n], U[n], t, costates[n + 1]))
+                H[n] = checked_hessian(self._given_hessian(X[n], U[n], t, costates[n + 1]), self.nx, self.nu)
         else:
             self._steps.hessians(*self._time_grid(N), X, U, np.ascontiguousarray(costates[1:]), H)
         if weights is not None and self.ny:
@@ -353,23 +360,6 @@ class FunctionDynamics(Dynamics):
         H, (times, held) = np.zeros((len(X), self.nx + self.nu, self.nx + self.nu)), self._knots(U)
         self._readings.hessians(times, np.ones(len(X)), X, held, np.ascontiguousarray(weights), H)
         return H
-
-    def _checked_hessian(self, parts: Any) -> Array:
-        """H by (x, u) from its three blocks."""
-        nx, nu = self.nx, self.nu
-        wanted = [(nx, nx), (nu, nx), (nu, nu)]
-        if [np.shape(part) for part in parts] != wanted:
-            given = ", ".join(str(np.shape(part)) for part in parts)
-            raise ValueError(f"hessian must return H_xx, H_ux and H_uu of shapes {wanted}, got {given}")
-        xx, ux, uu = (np.asarray(part, dtype=np.float64) for part in parts)
-        return np.block([[xx, ux.T], [ux, uu]])
-
-    def _checked_jacobian(self, A: Any, B: Any) -> tuple[Any, Any]:
-        given = f"{np.shape(A)} and {np.shape(B)}"
-        wanted = f"{(self.nx, self.nx)} and {(self.nx, self.nu)}"
-        if given != wanted:
-            raise ValueError(f"jacobian must return A and B of shapes {wanted}, got {given}")
-        return A, B
 
     def _reading(self, outputs: Callable[..., Any] | None) -> tuple[Callable[..., Any], bool, int]:
         """Outputs as a function of (x, u, t, p), whether it is compiled, and ny, by a call at the origin.

@@ -70,3 +70,22 @@ def names_of(name: str, given: Sequence[str] | None, letter: str, size: int) -> 
     if len(given) != size:
         raise ValueError(f"{name} must have {size} entries, got {len(given)}")
     return tuple(given)
+
+
+def checked_hessian(parts: Any, nx: int, nu: int) -> Array:
+    """H by (x, u) from the three blocks that a user's hessian returns. Raises ValueError."""
+    wanted = [(nx, nx), (nu, nx), (nu, nu)]
+    if [np.shape(part) for part in parts] != wanted:
+        given = ", ".join(str(np.shape(part)) for part in parts)
+        raise ValueError(f"hessian must return H_xx, H_ux and H_uu of shapes {wanted}, got {given}")
+    xx, ux, uu = (np.asarray(part, dtype=np.float64) for part in parts)
+    return np.block([[xx, ux.T], [ux, uu]])
+
+
+def checked_jacobian(parts: Any, nx: int, nu: int) -> tuple[Any, Any]:
+    """A and B as a user's jacobian returns them. Raises ValueError."""
+    A, B = parts
+    given, wanted = f"{np.shape(A)} and {np.shape(B)}", f"{(nx, nx)} and {(nx, nu)}"
+    if given != wanted:
+        raise ValueError(f"jacobian must return A and B of shapes {wanted}, got {given}")
+    return A, B

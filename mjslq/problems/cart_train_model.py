@@ -95,7 +95,7 @@ def mjcf(train: Train, timestep: float, limits: tuple[float, float] | None = Non
     height="256"/></asset>
   <worldbody>
     <light pos="0 -2 3" dir="0 0.5 -1"/>
-    <geom type="capsule" fromto="{-half - 1.0!r} 0 -0.085 {half + 1.0!r} 0 -0.085" size="0.015" mass="0"
+    <geom type="capsule" fromto="{-half - 2.5!r} 0 -0.085 {half + 2.5!r} 0 -0.085" size="0.015" mass="0"
       rgba="0.62 0.66 0.72 1"/>{"".join(bodies)}
   </worldbody>
   <tendon>{"".join(tendons)}</tendon>

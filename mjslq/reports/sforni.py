@@ -4,7 +4,7 @@ The equations and tables of the text at hand are lost: what stands beside ours a
 parameters, weights and reference are ours, too, so that no number can be the paper's; what can be reproduced is which
 method converges where, and which is faster. All solves start from the train upright at rest, theta as told.
 
-Table II: QP solvers (`reports.qp_solvers`), those that are installed. Table III: times by the number of carts. Figure 5:
+Table II: QP solvers that are installed (`reports.qp_solvers`). Table III: times by the number of carts. Figure 5:
 gradient norms of the gradient method, first-order PRONTO and GoPRONTO; 6: conjugate; 7: momentum with fixed steps; 8:
 limited forces, by barriers. Theorem III.2: stationarity with the costates under feedback. Section III-B2: first-order
 steps as a globalization of Newton's method.
