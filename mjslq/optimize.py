@@ -92,7 +92,7 @@ METHODS = {
     ),
     "square-root-sweep": MethodInfo(
         SquareRootSweep, "constraints corrected by fixed percentages, by Potter's sweep, as McQuade's thesis has it",
-        "first derivatives", RECORDS["square-root-sweep"], takes_constraints=True,
+        "first derivatives", RECORDS["square-root-sweep"], takes_constraints=True, takes_free_start=True,
     ),
     "pronto": MethodInfo(
         Pronto, "Newton over projected curves (Hauser): LQ directions, steps under a tracking controller",

@@ -110,7 +110,7 @@ class SquareRootSweepOptions:
     cost_decrease: float = 0.1
     """c_J, the share of the cost that an iteration is to take away, at most 1; the largest one that is tried."""
     terminal_share: float = 1.0
-    """c_m, the share of the error of terminal equalities that an iteration corrects, at most 1."""
+    """c_m and c_q, the share of the error of terminal and initial equalities that an iteration corrects, at most 1."""
     path_share: float = 1.0
     """c_w, the share of other violations that it corrects, at most 1."""
     threshold: float = 1.0

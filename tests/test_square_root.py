@@ -343,3 +343,21 @@ def test_v_costates_make_up_the_costates():
     again = np.einsum("nki,nkj,nj->ni", W, W, solution.X) + p + np.einsum("nki,nk->ni", E, psi)
     np.testing.assert_allclose(again, solution.costates, rtol=1e-7, atol=1e-7)
     np.testing.assert_allclose(np.einsum("nki,ni->nk", E, solution.X) + v, 0.0, atol=1e-8)
+
+
+def test_kernels_from_the_cache_of_another_process_run():
+    """BLAS's product is found there, too: large enough stages call it."""
+    code = """
+import numpy as np
+from mjslq.lq.problem import LQProblem
+from mjslq.lq.square_root import solve
+N, nx, nu = 3, 8, 3
+rng = np.random.default_rng(0)
+zero = np.zeros
+lq = LQProblem(rng.standard_normal((N, nx, nx)), rng.standard_normal((N, nx, nu)), np.tile(np.eye(nx), (N + 1, 1, 1)),
+               np.tile(np.eye(nu), (N, 1, 1)), zero((N, nu, nx)), zero((N + 1, nx)), zero((N, nu)), zero((N, nx)))
+print(solve(lq, initial=np.ones(nx)).cost)
+"""
+    outcomes = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True) for _ in range(2)]
+    assert [outcome.returncode for outcome in outcomes] == [0, 0], outcomes[-1].stderr
+    assert outcomes[0].stdout == outcomes[1].stdout

@@ -9,7 +9,7 @@ import pytest
 import mjslq
 from mjslq import FunctionDynamics, Problem, Status, problems, solve
 from mjslq.constraints import Control as Limits
-from mjslq.constraints import Path, State, Terminal
+from mjslq.constraints import Initial, Path, State, Terminal
 from mjslq.costs import Control, Function
 from mjslq.costs import State as Near
 from mjslq.options import SquareRootSweepOptions
@@ -185,6 +185,59 @@ def test_limits_of_controls_are_rows_and_have_multipliers():
     result = solve(problem, METHOD, threshold=1.1, max_iterations=200)
     assert np.abs(result.trajectory.U).max() <= 2.0 + 1e-6 and result.constraint_violation <= 1e-6
     assert result.multipliers["controls"].shape == (12, 1)
+
+
+def test_free_initial_states_are_unknowns():
+    """One step of minimum norm in (dx_0, du) to a goal, the first speed free, by a dense pseudo-inverse."""
+    problem = double(constraints=[Initial(free=1), goal(0.3)])
+    here = ConstrainedIterate(problem, problem.rollout(problem.U0))
+    method = SquareRootSweep(SquareRootSweepOptions(cost_row=False))
+    direction = method.direction(method.begin(here))
+    A = problem.dynamics.linearize(here.trajectory).A
+    G = np.hstack([np.linalg.multi_dot(A[::-1])[:, 1:], dense(problem, here.trajectory)[-1]])
+    # of all that meet the goal the shortest change of the controls; x_0 costs nothing
+    final = np.array([0.3, 0.0]) - here.trajectory.X[-1]
+    speed = np.linalg.lstsq((P := np.linalg.pinv(G[:, 1:])) @ G[:, :1], P @ final)[0]
+    np.testing.assert_allclose(direction.X[0], [0.0, speed[0]], atol=1e-9)
+    np.testing.assert_allclose(direction.U.ravel(), P @ (final - G[:, 0] * speed[0]), atol=1e-9)
+
+
+def test_an_initial_manifold():
+    """(2.3a): q(x_0) = 0 and the costate of the first knot belong together."""
+    engine = FunctionDynamics(lambda x, u: [x[1], u[0]], 2, 1, 1.0 / 12)
+    on_circle = Initial(lambda x: x @ x - 1.0, name="circle")
+    problem = Problem(engine, 12, [0.6, 0.7], [Control(1.0)], constraints=[on_circle, goal(2.0)], U0=[0.5])
+    start = solve(problem, "constrained", tol_violation=1e-10)
+    assert start.success
+    result = solve(problem, METHOD, guess=start, tol_gradient=1e-5, tol_violation=1e-8)
+    assert result.success and result.iterations <= 2
+    x0 = result.trajectory.X[0]
+    assert x0 @ x0 == pytest.approx(1.0, abs=1e-7)
+    G = np.linalg.multi_dot(problem.dynamics.linearize(result.trajectory).A[::-1])
+    costate = result.multipliers["goal"][0] @ G
+    np.testing.assert_allclose(costate, -2.0 * x0 * result.multipliers["circle"].item(), atol=1e-5)
+
+
+@pytest.mark.parametrize("method", [METHOD, "constrained"])
+def test_section_3_6_to_all_digits(method):
+    """Places, speeds, forces, cost and multipliers of the analytic example (by the sweep in one step)."""
+    result = solve(problems.get("three_samples"), method, tol_violation=1e-10, tol_gradient=1e-9)
+    assert result.success and (result.iterations == 1 or method != METHOD)
+    np.testing.assert_allclose(result.trajectory.U.ravel(), [0.6, 0.2], atol=1e-9)
+    np.testing.assert_allclose(result.trajectory.X, [[0.0, 0.0], [0.3, 0.6], [1.0, 0.8]], atol=1e-9)
+    assert result.cost == pytest.approx(0.2, abs=1e-9)
+    found = {name: float(value.item()) for name, value in result.multipliers.items()}
+    assert found == pytest.approx({"b": 2.4, "c": -1.2, "d": 0.4}, abs=1e-8)
+
+
+@pytest.mark.parametrize("a, b, c, d", [(0.5, -0.2, 0.1, 1.0), (1.0, 2.0, 2.5, -0.3)])
+def test_section_3_6_with_other_numbers(a, b, c, d):
+    """(3.139), and du(1) = d."""
+    result = solve(problems.get("three_samples", a=a, b=b, c=c, d=d), METHOD)
+    U, X = result.trajectory.U.ravel(), result.trajectory.X
+    assert result.success and U[1] == pytest.approx(d)
+    assert U[0] == pytest.approx(-4.0 / 3.0 * X[0, 1] - 2.0 / 3.0 * a - (d - 2.0 * c) / 3.0)
+    np.testing.assert_allclose(X[:, 0], [a, b, c], atol=1e-9)
 
 
 def test_an_unconstrained_problem_goes_downhill():

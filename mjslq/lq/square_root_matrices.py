@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from mjslq.lq import blas
 from mjslq.lq.dense import multiply
 from mjslq.lq.householder import (
     SINGULAR,
@@ -24,6 +25,8 @@ from mjslq.lq.householder import (
     solve_upper,
 )
 from mjslq.validation import Array
+
+blas.make_known()
 
 Integers = np.ndarray[Any, np.dtype[np.int64]]
 

@@ -29,6 +29,7 @@ _CATALOGUE = {
     "cart_pole": "a pole on a cart swings up, the force limited",
     "double_pendulum": "a double pendulum swings up by two limited motors",
     "acrobot": "a double pendulum swings up by one motor in its elbow",
+    "three_samples": "a mass on a line passes three places, its first speed free (McQuade 1989, section 3.6)",
     "bryson_denham": "a particle turns round before a wall (McQuade 1989, Example 1)",
     "drag_cart": "a cart with drag under a limit of dynamic pressure (McQuade 1989, Example 2)",
     "reentry": "a lifting vehicle enters the atmosphere within 5 g (McQuade 1989, chapter 5)",

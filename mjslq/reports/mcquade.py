@@ -70,6 +70,10 @@ def analytic_example() -> Iterator[Row]:
     yield Row(section, what, f"(3.139) {expected:.12g}", f"{found.U[0, 0]:.12g}", _equal(found.U[0, 0], expected))
     at = ", ".join(f"{value:.12g}" for value in found.X[:, 0].round(14) + 0.0)
     yield Row(section, "dx_1 at the three samples", f"{a:g}, {b:g}, {c:g}", at, _equal(found.X[:, 0], [a, b, c]))
+    posed = solve(problems.get("three_samples", a=a, b=b, c=c, d=d), METHOD)
+    U = posed.trajectory.U
+    ours = f"u = {U[0, 0]:.12g}, {U[1, 0]:.12g}, J = {posed.cost:.12g} after {posed.iterations} step"
+    yield Row(section, "the same as a problem, by its method", "as above", ours, _equal(U, found.U))
 
 
 def example_1() -> Iterator[Row]:

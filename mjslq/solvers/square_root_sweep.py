@@ -6,9 +6,9 @@ stand below. Made to show the method as the thesis has it; `constrained` is the 
 An iteration
 ------------
     minimize  1/2 sum_n du_n'R du_n                                                            (2.46)
-    subject to the linearized dynamics, dx_0 = 0, and the rows
+    subject to the linearized dynamics, dx_0 = 0 but for free entries, and the rows
 
-    dm = -c_m m              terminal constraints                                              (2.29), (2.34)
+    dm = -c_m m, dq = -c_m q  terminal and initial equalities                                  (2.29)-(2.30), (2.34)
     dw_n = -c_w w_n          other constraints, only where they are violated                   (2.31), (2.41)
     dJ = -c_J |J|            the cost, a terminal row, too                                     (2.28), (4.16)
 
@@ -58,7 +58,7 @@ from mjslq.lq.problem import LQProblem
 from mjslq.lq.square_root import Factorization, Infeasible, Solution, StateRows
 from mjslq.options import SquareRootSweepOptions
 from mjslq.problem import Problem
-from mjslq.solvers.constraint_rows import ConstrainedIterate, Rows, split
+from mjslq.solvers.constraint_rows import ConstrainedIterate, Rows, free_start, split
 from mjslq.solvers.iterate import Direction, Iterate
 from mjslq.solvers.merit import Merit
 from mjslq.solvers.method import Duals, Method, Step
@@ -104,7 +104,8 @@ class Plan(NamedTuple):
         """Changes for these percentages. Raises Infeasible."""
         rows, N = self.active, len(self.factors.problem.B)
         end = rows.step == N
-        share = np.where(rows.equality & end, shares.terminal, shares.path * self.overlap)
+        boundary = end | ((rows.step == 0) & ~(rows.C != 0.0).any(axis=1))
+        share = np.where(rows.equality & boundary, shares.terminal, shares.path * self.overlap)
         d = share * (rows.nearest - rows.value)
         decrease = [-shares.cost * abs(self.cost)] if self.has_cost else []
         return self.factors.solve(path=d[~end], terminal=np.concatenate([d[end], decrease]))
@@ -160,7 +161,7 @@ class SquareRootSweep(Method):
             except Infeasible as error:
                 self._said = _contradiction(here, plan, error)
                 continue
-            self._plan = plan
+            self._plan, self._said = plan, ""
             return _direction(here, found)
         U, ndx = np.zeros_like(here.trajectory.U), model.A.shape[1]
         still = np.zeros((len(U) + 1, ndx))
@@ -220,7 +221,9 @@ class SquareRootSweep(Method):
             row = np.append(model.q[-1], 1.0) if augmented else model.q[-1]
             terminal_H = np.vstack([terminal_H, row])
         terminal = StateRows(terminal_H, np.zeros(len(terminal_H)))
-        factors = square_root.factorize(flat, path._replace(H=path_H), terminal)
+        free = np.concatenate([free_start(here.problem), np.zeros(int(augmented), np.bool_)])
+        initial = StateRows(np.eye(len(free))[~free], np.zeros((~free).sum())) if free.any() else None
+        factors = square_root.factorize(flat, path._replace(H=path_H), terminal, initial)
         return Plan(active, factors, here.cost, with_cost, self._shared(active))
 
     def _active(self, rows: Rows) -> NDArray[np.bool_]:
@@ -337,7 +340,10 @@ def _rolled_out(here: ConstrainedIterate, found: Solution, step: str) -> Constra
     if step == "closed-loop":
         k, K = _feedback(found, dynamics.ndx)
         feedback = Feedback.unlimited(reference.X, K)
-    (trajectory,) = dynamics.rollouts(reference.X[:1], (reference.U + k)[None], feedback)
+    change, x0s = found.X[:1, : dynamics.ndx], reference.X[:1]
+    if change.any():
+        x0s = dynamics.integrate(x0s, change)
+    (trajectory,) = dynamics.rollouts(x0s, (reference.U + k)[None], feedback)
     return ConstrainedIterate(here.problem, trajectory)
 
 
