@@ -90,7 +90,6 @@ def test_the_command_solves_resumes_and_says_so(tmp_path):
 @pytest.mark.parametrize(
     "arguments, said",
     [
-        (["hopper", "-s", "height"], "NAME=VALUES, such as"),
         (["hopper", "-s", "heigth=1:2"], "did you mean 'height'?"),
         (["hopper", "--executor", "cloud"], "there are: processes, threads, dask, ray"),
     ],
