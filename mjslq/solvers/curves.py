@@ -23,7 +23,7 @@ from abc import abstractmethod
 
 from mjslq.options import CurveOptions
 from mjslq.problem import Problem
-from mjslq.solvers.barrier import CONTROLS, Barrier
+from mjslq.solvers.barrier import Barrier
 from mjslq.solvers.iterate import Direction, Iterate
 from mjslq.solvers.merit import Merit
 from mjslq.solvers.method import Duals, Method, Step
@@ -199,6 +199,3 @@ class CurveMethod(Method):
         rank = max(plain.violation(here.trajectory) if self.barrier is not None else 0.0, MET), cost
         if self._best is None or rank <= self._best[0]:
             self._best = rank, here, self.barrier
-
-
-__all__ = ["CONTROLS", "CurveMethod"]
