@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from mjslq.viewer import live as live
     from mjslq.viewer import view as view
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 _HOME = {
     "constraints": "mjslq.constraints",

@@ -61,7 +61,13 @@ def robot_path(name: str) -> Path:
 
 
 def robot_spec(
-    name: str, *, floating: bool = False, motors: bool = True, floor: bool = False, armature: float = 0.0
+    name: str,
+    *,
+    floating: bool = False,
+    motors: bool = True,
+    floor: bool = False,
+    armature: float = 0.0,
+    self_contacts: bool = True,
 ) -> mujoco.MjSpec:
     """Read the robot `name` as an editable MuJoCo specification, for `MujocoDynamics.from_spec`.
 
@@ -77,12 +83,17 @@ def robot_spec(
         Add a ground plane at height zero, and a light.
     armature
         Rotor inertia of every joint with one axis. [kg m^2 or kg]
+    self_contacts
+        Let the robot's links touch each other; in many URDF files they overlap where they are joined.
 
     Meshes that MuJoCo cannot read (the package has many in .dae) are left out without a warning, as they are known.
     """
     from mjslq.dynamics.mujoco.files import urdf_spec
 
-    return urdf_spec(robot_path(name), floating=floating, motors=motors, floor=floor, armature=armature, silent=True)
+    return urdf_spec(
+        robot_path(name), floating=floating, motors=motors, floor=floor, armature=armature, self_contacts=self_contacts,
+        silent=True,
+    )  # fmt: skip
 
 
 @functools.cache

@@ -10,7 +10,8 @@ import pytest
 import mjslq
 
 ROOT = Path(__file__).parent.parent
-DEMOS = sorted(ROOT.glob("demos/[0-9]*.py"))
+LONG = ROOT / "demos" / "09_receding_horizon.py"
+DEMOS = sorted(file for file in ROOT.glob("demos/[0-9]*.py") if file != LONG)
 
 
 @pytest.fixture
@@ -39,7 +40,19 @@ def test_readme_names_every_method_and_command():
     text = (ROOT / "README.md").read_text()
     for name in mjslq.methods():
         assert f"`{name}`" in text
-    for command in ("list", "solve", "compare", "reproduce", "view", "export", "check", "bench"):
+    for command in (
+        "list",
+        "solve",
+        "new",
+        "explain",
+        "compare",
+        "reproduce",
+        "view",
+        "export",
+        "check",
+        "bench",
+        "sweep",
+    ):
         assert f"mjslq {command}" in text
 
 
@@ -48,3 +61,11 @@ def test_demo_runs(demo, seen, monkeypatch):
     monkeypatch.setattr(sys, "argv", [str(demo)])
     runpy.run_path(str(demo), run_name="__main__")
     assert seen and all(result.success for result in seen)
+
+
+@pytest.mark.slow
+def test_the_closed_loops_of_the_demo_end_where_they_should(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", [str(LONG)])
+    runpy.run_path(str(LONG), run_name="__main__")
+    ends = [float(line.rsplit(" ", 1)[1]) for line in capsys.readouterr().out.splitlines()]
+    assert len(ends) == 3 and max(ends) < 0.1

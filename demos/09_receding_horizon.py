@@ -1,6 +1,6 @@
 """Three robots under receding-horizon control, on plants that are not quite their models, pushed on the way.
 
-Run with    python demos/receding_horizon.py [picture.png]
+Run with    python demos/09_receding_horizon.py [picture.png]
 
 Each plan has 50 knots and one iteration, or three for the swing-up. Printed are the times of the plans beside the
 control period; the picture shows how far each robot is from its task, and when it is pushed.
