@@ -9,7 +9,7 @@ from constrained_problems import arm, bryson_denham, car, cart_pole, quadrotor, 
 from lq_problems import dense
 from typer.testing import CliRunner
 
-from mjslq import FunctionDynamics, MujocoDynamics, Problem, problems, solve
+from mjslq import FunctionDynamics, MujocoDynamics, Problem, solve
 from mjslq.cli import app
 from mjslq.constraints import Initial, Path, State, Terminal
 from mjslq.costs import Control
@@ -188,21 +188,9 @@ def test_multipliers_of_other_constraints_are_left_alone():
     assert solve(problem, guess=wrong).cost == pytest.approx(result.cost, rel=1e-6)  # the rounds come in
 
 
-def test_the_command_line_hands_options_of_constrained_on(monkeypatch):
-    monkeypatch.setattr(problems, "names", lambda: ["wall"])
-    monkeypatch.setattr(problems, "parameters", lambda name: {"limit": 0.1})
-    monkeypatch.setattr(problems, "get", lambda name, **values: bryson_denham(**values))
-    arguments = [
-        "solve",
-        "wall",
-        "--json",
-        "--set",
-        "tol_violation=1e-4",
-        "--set",
-        "penalty=0.1",
-        "--set",
-        "limit=0.12",
-    ]
+def test_the_command_line_hands_options_of_constrained_on():
+    settings = ["tol_violation=1e-4", "penalty=0.1", "limit=0.12"]
+    arguments = ["solve", "bryson_denham", "--json", *(word for setting in settings for word in ("--set", setting))]
     told = json.loads(CliRunner().invoke(app, arguments).stdout)
     assert told["success"] and told["method"] == "constrained"
     assert told["options"]["tol_violation"] == 1e-4 and told["options"]["penalty"] == 0.1
