@@ -79,8 +79,21 @@ class _Library(JITCodeLibrary):
                 self._final_module.link_in(library._get_module_for_linking(), preserve=True)
                 if isinstance(library, _Library):
                     waiting += library._linking_libraries
+        self._link_what_is_missing(seen)
         self._verify_declare_only_symbols()
         return self._final_module
+
+    def _link_what_is_missing(self, libraries: set[Any]) -> None:
+        """Link libraries again whose functions LLVM left out, because nothing had called them yet."""
+        while True:
+            missing = {f.name for f in self._final_module.functions if f.is_declaration}
+            before = len(missing)
+            for library in libraries:
+                module = library._get_module_for_linking()
+                if any(f.name in missing and not f.is_declaration for f in module.functions):
+                    self._final_module.link_in(module, preserve=True)
+            if sum(f.is_declaration for f in self._final_module.functions) >= before:
+                return
 
 
 class _Portable(JITCPUCodegen):
