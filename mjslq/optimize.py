@@ -327,7 +327,7 @@ def _result(
         violations=outcome.duals.violations,
         multipliers=limits | outcome.duals.multipliers,
         knots={c.name: c.seen_at for c in problem.bound_constraints},
-        cost_terms={} if iterate.trajectory.diverged else problem.unpenalized.cost_terms(iterate.trajectory),
+        cost_terms={} if iterate.trajectory.diverged else problem.unpenalized.named(iterate.terms),
         gradient=iterate.projected_gradient if math.isfinite(outcome.gradient_norm) else None,
         log=tuple(monitor.log),
         iterates=tuple(monitor.iterates),

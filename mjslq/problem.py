@@ -184,21 +184,29 @@ class Problem:
 
     def cost(self, trajectory: Trajectory) -> float:
         """Total cost J; infinite for a trajectory that diverged."""
+        return self.total(self.costs_of_terms(trajectory))
+
+    def costs_of_terms(self, trajectory: Trajectory) -> list[float]:
+        """Cost of each bound term; infinite for a trajectory that diverged."""
         if trajectory.diverged:
-            return math.inf
+            return [math.inf] * len(self._terms)
         with np.errstate(over="ignore", invalid="ignore"):
-            total = sum(term.cost(trajectory) for term in self._terms)
+            return [term.cost(trajectory) for term in self._terms]
+
+    def total(self, costs_of_terms: Sequence[float]) -> float:
+        """Total cost J of what `costs_of_terms` found; infinite where it is not finite."""
+        total = float(sum(costs_of_terms))
         return total if math.isfinite(total) else math.inf
 
-    def cost_terms(self, trajectory: Trajectory) -> dict[str, float]:
-        """Cost of each term, by what it is and where it acts; equal ones are numbered from the second on."""
+    def named(self, costs_of_terms: Sequence[float]) -> dict[str, float]:
+        """Cost of each term by what it is and where it acts; equal ones are numbered from the second on."""
         found: dict[str, float] = {}
-        for term in self._terms:
+        for term, cost in zip(self._terms, costs_of_terms, strict=False):  # penalties may come after
             label, number = term.label, 1
             while label in found:
                 number += 1
                 label = f"{term.label} ({number})"
-            found[label] = term.cost(trajectory)
+            found[label] = cost
         return found
 
     def expand(self, trajectory: Trajectory, linearization: Linearization | None = None) -> Expansion:

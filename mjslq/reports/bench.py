@@ -23,7 +23,6 @@ import numpy as np
 
 from mjslq import problems
 from mjslq.cores import usable_cores
-from mjslq.costs import Control, State
 from mjslq.dynamics.derivative_check import fine_reference
 from mjslq.dynamics.dynamics import Dynamics
 from mjslq.dynamics.mujoco import MujocoDynamics
@@ -31,6 +30,7 @@ from mjslq.lq.box import solve_in_box
 from mjslq.lq.riccati import solve as sweep
 from mjslq.optimize import solve
 from mjslq.problem import Problem
+from mjslq.reports import bench_models as models
 from mjslq.reports import train
 from mjslq.solvers.iterate import Iterate
 from mjslq.trajectory import Trajectory
@@ -99,14 +99,17 @@ class Row:
 
 CASES: dict[str, Callable[[], Problem]] = {
     "hopper": lambda: problems.get("hopper"),
-    "cart-pole within limits": lambda: _cart_pole(),
+    "cart-pole within limits": models.cart_pole,
     "panda_reach": lambda: problems.get("panda_reach"),
     "panda_reach on pinocchio": lambda: problems.get("panda_reach", engine="pinocchio"),
-    "solo12 in flight": lambda: _solo12_in_flight(),
+    "solo12 in flight": models.solo12_in_flight,
     "solo12 on its feet": lambda: problems.get("solo12_stand"),
     "g1 on its feet": lambda: problems.get("g1_reach"),
-    "box between moving plates": lambda: _grasp(),
-    "four-bar linkages": lambda: _linkages(),
+    "box between moving plates": models.grasp,
+    "four-bar linkages": models.linkages,
+    "arm on four muscles": models.muscles,
+    "walker that looks ahead": models.scanner,
+    "double pendulum by RK4": models.runge_kutta,
 }
 
 
@@ -122,7 +125,7 @@ def growth(name: str = "panda_reach", horizons: tuple[int, ...] = (100, 200, 500
 
 def growth_with_states(links: tuple[int, ...] = (2, 4, 8, 16, 32)) -> dict[int, float]:
     """Milliseconds of rollout, linearization and sweep together, by the number of states of a chain of links."""
-    return {2 * count: _phases(_chain(count)) for count in links}
+    return {2 * count: _phases(models.chain(count)) for count in links}
 
 
 def growth_of_memory(name: str = "panda_reach", iterations: int = 1000) -> dict[int, float]:
@@ -274,6 +277,8 @@ def _bare(dynamics: MujocoDynamics, trajectory: Trajectory) -> dict[str, float]:
             place(n)
             mujoco.mj_inverse(model, data)
 
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:  # mjd_transitionFD refuses it: the step's differences
+        differentiate = _linearizations(dynamics, trajectory)["transition"]
     calls = {"mjd_transitionFD": differentiate, "mj_step": step, "mj_inverse": invert}
     return {name: milliseconds(call) for name, call in calls.items()}
 
@@ -287,94 +292,3 @@ def _errors(dynamics: MujocoDynamics, trajectory: Trajectory) -> dict[str, float
     scale = np.abs(fine).max(axis=(1, 2))
     found = {mode: call().A for mode, call in _linearizations(dynamics, part).items()}
     return {mode: float(np.median(np.abs(A - fine).max(axis=(1, 2)) / scale)) for mode, A in found.items()}
-
-
-_CART_POLE = """
-<mujoco><option timestep=".02" integrator="implicitfast"/><worldbody>
-  <body><joint name="rail" type="slide" axis="1 0 0"/><geom type="box" size=".15 .1 .08" mass="1"/>
-    <body><joint name="hinge" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.5" size=".02" mass=".1"/>
-    </body></body></worldbody>
-  <actuator><motor joint="rail" ctrlrange="-5 5"/></actuator></mujoco>
-"""
-
-
-def _cart_pole() -> Problem:
-    """A pole swung up by a force of at most 5 N."""
-    dynamics = MujocoDynamics.from_xml(_CART_POLE, threads=1)
-    upright = [0.0, np.pi, 0.0, 0.0]
-    arrive = State([500.0, 500.0, 50.0, 50.0], upright, when="terminal")
-    running = [State([1.0, 1.0, 0.1, 0.1], upright), Control(0.01)]
-    return Problem(dynamics, 150, np.zeros(4), [*running, arrive], name="cart-pole")
-
-
-_GRASP = """
-<mujoco><option timestep=".005" integrator="implicitfast"/><worldbody>
-  <body pos="0 0 .05"><joint name="lift" type="slide" axis="0 0 1"/><geom type="box" size=".1 .1 .02" mass="1"/></body>
-  <body pos="-.08 0 .12"><joint name="left" type="slide" axis="1 0 0"/>
-    <geom type="box" size=".02 .06 .03" mass=".5"/></body>
-  <body pos=".08 0 .12"><joint name="right" type="slide" axis="-1 0 0"/>
-    <geom type="box" size=".02 .06 .03" mass=".5"/></body>
-  <body pos="0 0 .11"><freejoint/><geom type="box" size=".06 .05 .04" mass=".5"/></body></worldbody>
-  <actuator><position joint="lift" kp="4000" kv="60"/><position joint="left" kp="1000" kv="40"/>
-    <position joint="right" kp="1000" kv="40"/></actuator></mujoco>
-"""
-
-
-def _grasp() -> Problem:
-    """A box on a plate that moves up and down, between two plates that press on it: every body in contact moves."""
-    dynamics = MujocoDynamics.from_xml(_GRASP, threads=1)
-    x0 = dynamics.initial_state
-    goal = x0.copy()
-    goal[[0, 5]] += 0.05
-    weight = np.concatenate([np.full(9, 10.0), np.full(9, 0.1)])
-    held = np.array([0.0, 0.01, 0.01])
-    return Problem(dynamics, 100, x0, [State(weight, goal), Control(1.0, held)], name="grasp", U0=held)
-
-
-def _linkages() -> Problem:
-    """Four linkages of four bars each, closed by connect constraints, driven at one crank each."""
-    bars = ties = motors = ""
-    for k in range(4):
-        bars += f"""
-          <body pos="0 {0.2 * k} 1"><joint name="crank{k}" axis="0 1 0" damping=".05"/>
-            <geom type="capsule" fromto="0 0 0 0 0 -.2" size=".02"/>
-            <body pos="0 0 -.2"><joint axis="0 1 0" damping=".05"/>
-              <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02"/>
-              <body name="end{k}" pos=".3 0 0"><joint axis="0 1 0" damping=".05"/>
-                <geom type="capsule" fromto="0 0 0 0 0 .2" size=".02"/></body></body></body>"""
-        ties += f'<connect body1="end{k}" body2="world" anchor="0 0 .2"/>'
-        motors += f'<motor joint="crank{k}"/>'
-    dynamics = MujocoDynamics.from_xml(
-        f"""<mujoco><option timestep=".005" integrator="implicitfast"><flag contact="disable"/></option>
-        <worldbody>{bars}</worldbody><equality>{ties}</equality><actuator>{motors}</actuator></mujoco>""",
-        threads=1,
-    )
-    goal = np.concatenate([np.tile([0.3, -0.3, 0.3], 4), np.zeros(12)])
-    return Problem(dynamics, 100, dynamics.initial_state, [State(1.0, goal), Control(0.1)], name="linkages")
-
-
-def _chain(links: int) -> Problem:
-    """A hanging chain of links with a motor at every hinge, which is to come to rest bent."""
-    import mujoco
-
-    spec = mujoco.MjSpec()
-    spec.option.timestep, spec.option.integrator = 0.01, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    body = spec.worldbody
-    for i in range(links):
-        body = body.add_body(pos=[0.0, 0.0, -0.2 if i else 0.0])
-        joint = body.add_joint(name=f"hinge{i}", axis=[0.0, 1.0, 0.0], damping=[0.1, 0.0, 0.0])
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0.0, 0.0, 0.0, 0.0, 0.0, -0.2], size=[0.02, 0.0, 0.0])
-        motor = spec.add_actuator(trntype=mujoco.mjtTrn.mjTRN_JOINT, target=joint.name)
-        motor.set_to_motor()
-    dynamics = MujocoDynamics.from_spec(spec, threads=1)
-    goal = np.concatenate([np.full(links, 0.1), np.zeros(links)])
-    return Problem(dynamics, 100, np.zeros(2 * links), [State(1.0, goal), Control(0.01)], name="chain")
-
-
-def _solo12_in_flight() -> Problem:
-    """The quadruped thrown up from a metre's height: no contact within the horizon."""
-    problem = problems.get("solo12_stand", horizon=40)
-    x0 = np.array(problem.x0)
-    x0[2], x0[problem.dynamics.nx - problem.dynamics.ndx // 2 + 2] = 1.0, 2.0
-    return dataclasses.replace(problem, x0=x0)

@@ -83,7 +83,9 @@ class Iterate:
         self.trajectory = trajectory
         self.ends = ends
         """f_n(x_n, u_n) where the states are a guess; None for a rollout. Shape (N, nx)."""
-        self.cost = problem.cost(trajectory)
+        self.terms = problem.costs_of_terms(trajectory)
+        """Cost of each term."""
+        self.cost = problem.total(self.terms)
 
     @classmethod
     def guess(cls, problem: Problem, X: Array, U: Array) -> Iterate:
