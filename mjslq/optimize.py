@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import sys
 from collections.abc import Callable, Mapping
@@ -19,7 +20,6 @@ from mjslq.result import Result
 from mjslq.solvers.auto import Auto
 from mjslq.solvers.constrained import Constrained
 from mjslq.solvers.foresight import descend_with_foresight
-from mjslq.solvers.gopronto import Gopronto
 from mjslq.solvers.gradient import Gradient
 from mjslq.solvers.interrupts import Interrupts
 from mjslq.solvers.iterate import Iterate
@@ -27,9 +27,7 @@ from mjslq.solvers.loop import Outcome
 from mjslq.solvers.method import Method
 from mjslq.solvers.monitor import Monitor
 from mjslq.solvers.newton import Newton
-from mjslq.solvers.pronto import Pronto
 from mjslq.solvers.slq import SLQ
-from mjslq.solvers.square_root_sweep import SquareRootSweep
 from mjslq.solvers.trust_region import TrustRegion
 from mjslq.validation import choose
 
@@ -65,6 +63,16 @@ class MethodInfo:
         return {field.name: field.default for field in fields(self.record)}
 
 
+def _when_asked(module: str, name: str) -> Callable[[Any], Method]:
+    """A method that is imported when it is used, so that others do not wait for what it imports."""
+
+    def make(options: Any) -> Method:
+        method: Method = getattr(importlib.import_module(f"mjslq.solvers.{module}"), name)(options)
+        return method
+
+    return make
+
+
 METHODS = {
     "auto": MethodInfo(
         Auto, "Gauss-Newton first, second derivatives where it is slow, a multiplier where the model is poor",
@@ -91,16 +99,19 @@ METHODS = {
         takes_constraints=True, takes_free_start=True,
     ),
     "square-root-sweep": MethodInfo(
-        SquareRootSweep, "constraints corrected by fixed percentages, by Potter's sweep, as McQuade's thesis has it",
+        _when_asked("square_root_sweep", "SquareRootSweep"),
+        "constraints corrected by fixed percentages, by Potter's sweep, as McQuade's thesis has it",
         "first derivatives", RECORDS["square-root-sweep"], takes_constraints=True, takes_free_start=True,
     ),
     "pronto": MethodInfo(
-        Pronto, "Newton over projected curves (Hauser): LQ directions, steps under a tracking controller",
+        _when_asked("pronto", "Pronto"),
+        "Newton over projected curves (Hauser): LQ directions, steps under a tracking controller",
         "first derivatives, second ones for order='newton'", RECORDS["pronto"], takes_constraints=True,
         takes_equalities=False, takes_both=True,
     ),
     "gopronto": MethodInfo(
-        Gopronto, "first-order steps under a tracking controller, no LQ problem in an iteration",
+        _when_asked("gopronto", "Gopronto"),
+        "first-order steps under a tracking controller, no LQ problem in an iteration",
         "first derivatives, a few steps at a time", RECORDS["gopronto"], defaults={"max_iterations": 1000},
         takes_constraints=True, takes_equalities=False, takes_both=True,
     ),
