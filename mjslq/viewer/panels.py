@@ -130,7 +130,8 @@ class Curves:
             foot = low + bar * place
             columns.append(foot + 0.8 * bar * active[keep, curve])
             styles.append({"fill": series.COLORS[curve], "fillTo": foot or 1e-300, "width": 0})
-        return Curves(times, values, (low, high), np.stack(columns, axis=1), tuple(styles), len(reached))
+        more = np.stack(columns, axis=1) if columns else np.zeros((len(times), 0))
+        return Curves(times, values, (low, high), more, tuple(styles), len(reached))
 
 
 class SignalPlot:

@@ -178,3 +178,10 @@ def test_ctrl_c_ends_view_without_a_traceback(function: Result, tmp_path: Path) 
 def test_importing_the_room_does_not_import_viser() -> None:
     code = "import sys, mjslq.viewer; assert 'viser' not in sys.modules and 'mujoco' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"PYTHONPATH": str(REPOSITORY)})
+
+
+def test_constraints_that_hold_nothing_are_shown(arm: Result) -> None:
+    """All multipliers and violations are zero: there are no bars to draw."""
+    nothing = {"violations": {"wall": np.zeros(101)}, "multipliers": {"wall": np.zeros((101, 1))}}
+    with Player(dataclasses.replace(arm, knots={"wall": np.arange(101)}, **nothing), autoplay=False) as player:
+        assert player.running
