@@ -39,7 +39,13 @@ from mjslq.reports.train import METHODS, train
 from mjslq.optimize import solve
 solve(train(2), max_iterations=1, tol=0.0, **METHODS[{method!r}])
 solve(train({carts}, {horizon}), max_iterations=1, tol=0.0, keep_iterates=False, **METHODS[{method!r}])
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:  # on Linux ru_maxrss is at least what the process that started this one had
+    with open("/proc/self/status") as status:
+        peak = next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
+except OSError:
+    pass
+print(peak)
 """
 
 
