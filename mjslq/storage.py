@@ -88,7 +88,8 @@ def load(path: str | os.PathLike[str]) -> Result:
     except FileNotFoundError:
         raise FileNotFoundError(f"there is no file {name}") from None
     except _DAMAGED as error:
-        raise ValueError(f"{name} is not a result saved by mjslq ({' '.join(str(error).split())})") from None
+        why = " ".join(str(error).split()) if zipfile.is_zipfile(path) or os.path.isdir(path) else "it is no .npz file"
+        raise ValueError(f"{name} is not a result saved by mjslq ({why})") from None
     if version != FORMAT:
         raise ValueError(
             f"{name} has format {version}, this version of mjslq reads format {FORMAT}; "
