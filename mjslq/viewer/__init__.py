@@ -37,16 +37,9 @@ def view(
 
     """
     from mjslq.viewer.player import Player
+    from mjslq.viewer.serving import present
 
-    player = Player(result, host, port, beside=beside)
-    player.start()
-    try:
-        print(f"viewer at {player.url}" + (" (Ctrl-C ends it)" if block else ""), flush=True)
-        if block:
-            player.wait()
-    except KeyboardInterrupt:
-        player.stop()
-    return player
+    return present(Player(result, host, port, beside=beside), block)
 
 
 def live(
@@ -57,16 +50,9 @@ def live(
     Blocks until Ctrl-C unless `block` is False; then the caller stops the `Live` returned.
     """
     from mjslq.viewer.live_view import Live
+    from mjslq.viewer.serving import present
 
-    shown = Live(mpc, plant, host=host, port=port, **options)
-    shown.start()
-    try:
-        print(f"live view at {shown.url}" + (" (Ctrl-C ends it)" if block else ""), flush=True)
-        if block:
-            shown.wait()
-    except KeyboardInterrupt:
-        shown.stop()
-    return shown
+    return present(Live(mpc, plant, host=host, port=port, **options), block)
 
 
 def export_html(result: Result, path: str | os.PathLike[str]) -> None:

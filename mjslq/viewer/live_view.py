@@ -23,8 +23,9 @@ from mjslq.problem import Problem
 from mjslq.result import Result
 from mjslq.simulation import Plant, Push, plant_of
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, as_array, choose, count, positive
+from mjslq.validation import Array, as_array, choose, positive
 from mjslq.viewer.scene import SceneView, quiet
+from mjslq.viewer.serving import Served
 
 GHOSTS = 4
 """Poses of the plan that are shown."""
@@ -34,7 +35,7 @@ Pose = Callable[[Array, Mapping[str, float]], Problem]
 """Makes the problem anew for a target (3,) [m] and weights by name."""
 
 
-class Live:
+class Live(Served):
     """A server that runs and shows a closed loop; a context manager, or `start` and `stop`.
 
     Parameters
@@ -54,6 +55,8 @@ class Live:
         Largest force of a push. [N]
     """
 
+    kind = "live view"
+
     def __init__(
         self,
         mpc: MPC,
@@ -66,6 +69,7 @@ class Live:
         host: str = "127.0.0.1",
         port: int = 8080,
     ) -> None:
+        super().__init__(host, port)
         if not isinstance(mpc, MPC):
             raise ValueError(f"mpc must be a mjslq.MPC, got {type(mpc).__name__}")
         problem, scene = mpc.problem, mpc.problem.scene()
@@ -78,33 +82,10 @@ class Live:
         self._substeps = max(1, round(mpc.period / self._plant.timestep))
         self._target = None if target is None else as_array("target", target, (3,))
         self._weights = {name: positive(name, value) for name, value in (weights or {}).items()}
-        self._force, self._host, self._port = positive("push", push), host, count("port", port)
-        self._lock, self._ended = threading.RLock(), threading.Event()
-        self._server: viser.ViserServer | None = None
+        self._force = positive("push", push)
         self._thread: threading.Thread | None = None
         self.planning, self.running = True, True
         self.restart()
-
-    def __enter__(self) -> Live:
-        """Start."""
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Stop."""
-        self.stop()
-
-    @property
-    def server(self) -> viser.ViserServer:
-        """The Viser server; RuntimeError before `start` and after `stop`."""
-        if self._server is None:
-            raise RuntimeError("the live view is not running; start it first")
-        return self._server
-
-    @property
-    def url(self) -> str:
-        """Where to point the browser."""
-        return f"http://{'127.0.0.1' if self._host == '0.0.0.0' else self._host}:{self.server.get_port()}"
 
     @property
     def time(self) -> float:
@@ -166,16 +147,14 @@ class Live:
         """Open the server and run; does nothing when running."""
         if self._server is not None:
             return
-        self._ended.clear()
-        with quiet():
-            self._server = viser.ViserServer(self._host, self._port, label="mjslq live", verbose=False)
+        server = self._open()
         with self._lock:
             self.advance()
-            self._view = SceneView(self._server, self._scene, self._mpc.plan.trajectory, _ASPECT)
-            seen = self._server.initial_camera  # on the first plan; what comes takes more room
+            self._view = SceneView(server, self._scene, self._mpc.plan.trajectory, _ASPECT)
+            seen = server.initial_camera  # on the first plan; what comes takes more room
             centre = np.asarray(seen.look_at)
             seen.position = centre + _FARTHER * (np.asarray(seen.position) - centre)
-            self._add_widgets(self._server.gui)
+            self._add_widgets(server.gui)
             self.show()
         self._thread = threading.Thread(target=self._run, name="mjslq live", daemon=True)
         self._thread.start()
@@ -190,11 +169,6 @@ class Live:
         if server is not None:
             with quiet():
                 server.stop()
-
-    def wait(self) -> None:
-        """Return when `stop` has been called; Ctrl-C gets through."""
-        while not self._ended.wait(0.5):
-            pass
 
     def show(self) -> None:
         """Send the plant's pose, and the plan where it is a new one."""

@@ -8,7 +8,6 @@ The pose can be taken over into a task file: the panel shows it as `positions = 
 from __future__ import annotations
 
 import html
-import threading
 from typing import Any
 
 import mujoco
@@ -18,8 +17,9 @@ import viser
 from mjslq.dynamics.mujoco.contacts import model_of_scene
 from mjslq.dynamics.mujoco.engine import MujocoDynamics
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, choose, count
+from mjslq.validation import Array, choose
 from mjslq.viewer.scene import SceneView, quiet
+from mjslq.viewer.serving import Served, present
 
 TURN, SLIDE = np.pi, 1.0
 """Ends of the sliders of joints without a range. [rad], [m]"""
@@ -28,44 +28,21 @@ _NOTE = '<div style="font-size:12px;line-height:1.55;padding:2px 10px 8px;overfl
 _REFERENCE = "(reference)"
 
 
-class ModelView:
+class ModelView(Served):
     """A Viser server that shows one model; a context manager, or `start` and `stop`."""
 
     def __init__(self, dynamics: MujocoDynamics, host: str = "127.0.0.1", port: int = 8080) -> None:
         """Prepare to show the model of `dynamics` at `host`:`port`, or at the next free port."""
-        self._dynamics, self._host, self._wanted_port = dynamics, host, count("port", port)
+        super().__init__(host, port)
+        self._dynamics = dynamics
         self._scene = dynamics.scene()
         self._model = model_of_scene(self._scene.model)
         self._data = mujoco.MjData(self._model)
         self._x = dynamics.initial_state
-        self._lock, self._ended = threading.RLock(), threading.Event()
-        self._server: viser.ViserServer | None = None
         self._view: SceneView | None = None
         self.sliders: dict[str, Any] = {}
         """The slider of each joint with one axis, by the joint's name."""
         self._note: Any = None
-
-    def __enter__(self) -> ModelView:
-        """Start."""
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Stop."""
-        self.stop()
-
-    @property
-    def server(self) -> viser.ViserServer:
-        """The Viser server; RuntimeError before `start` and after `stop`."""
-        if self._server is None:
-            raise RuntimeError("the viewer is not running; start it first")
-        return self._server
-
-    @property
-    def url(self) -> str:
-        """Where to point the browser."""
-        host = "127.0.0.1" if self._host == "0.0.0.0" else self._host
-        return f"http://{host}:{self.server.get_port()}"
 
     @property
     def x(self) -> Array:
@@ -88,13 +65,11 @@ class ModelView:
         with self._lock:
             if self._server is not None:
                 return
-            self._ended.clear()
-            with quiet():
-                self._server = viser.ViserServer(self._host, self._wanted_port, label="mjslq", verbose=False)
+            server = self._open()
             try:
-                self._view = SceneView(self._server, self._scene, self._standing(), 0.85)
+                self._view = SceneView(server, self._scene, self._standing(), 0.85)
                 self._view.set_trace(False)
-                self._build(self._server.gui)
+                self._build(server.gui)
             except BaseException:
                 self.stop()
                 raise
@@ -108,11 +83,6 @@ class ModelView:
         if server is not None:
             with quiet():
                 server.stop()
-
-    def wait(self) -> None:
-        """Return when `stop` has been called; Ctrl-C gets through."""
-        while not self._ended.wait(0.5):
-            pass
 
     def show(self, x: Array) -> None:
         """Show a state (nx,), sliders included."""
@@ -220,12 +190,4 @@ def view_model(dynamics: MujocoDynamics, host: str = "127.0.0.1", port: int = 80
     block : bool
         Stay until Ctrl-C. Otherwise return at once; the caller stops the view returned.
     """
-    shown = ModelView(dynamics, host, port)
-    shown.start()
-    try:
-        print(f"viewer at {shown.url}" + (" (Ctrl-C ends it)" if block else ""), flush=True)
-        if block:
-            shown.wait()
-    except KeyboardInterrupt:
-        shown.stop()
-    return shown
+    return present(ModelView(dynamics, host, port), block)

@@ -18,7 +18,7 @@ from mjslq.viewer.controls import GHOSTS, Actions, Controls
 from mjslq.viewer.motion import Motion
 from mjslq.viewer.playback import Playback
 from mjslq.viewer.scene import SceneView, quiet
-from mjslq.viewer.serving import address, open_server
+from mjslq.viewer.serving import Served
 
 _FRAMES = 30.0  # sent to the browser a second
 _MARKS = 10.0  # moves of the plots' marks a second; each resends the curves
@@ -35,7 +35,7 @@ _NO_SCENE = (
 )
 
 
-class Player:
+class Player(Served):
     """A Viser server that plays one result; a context manager, or `start` and `stop`.
 
     Everything that moves it, from Python or from the browser, goes through one lock, so that a frame is never
@@ -59,10 +59,7 @@ class Player:
             raise ValueError(f"a viewer shows a Result of mjslq.solve or mjslq.load, got {type(result).__name__}")
         self._result = result
         self._beside = tuple(beside)
-        self._host = host
-        self._wanted_port = count("port", port)
-        if port > 65535:
-            raise ValueError(f"port must be at most 65535, got {port}")
+        super().__init__(host, port)
         self._playback = Playback(float(result.trajectory.times[-1]), playing=autoplay)
         self._model = None if result.scene is None else model_from_mjb(result.scene.model)
         self._trajectory = result.trajectory
@@ -70,9 +67,7 @@ class Player:
         self._ghosts = ("off", 0)
         self._ghost_motion: Motion | None = None
         self._motion = lru_cache(maxsize=16)(self._iterate_motion)
-        self._lock = threading.RLock()
-        self._wake, self._ended = threading.Event(), threading.Event()
-        self._server: viser.ViserServer | None = None
+        self._wake = threading.Event()
         self._thread: threading.Thread | None = None
         self._view: SceneView | None = None
         self._controls: Controls | None = None
@@ -80,33 +75,12 @@ class Player:
         self._cost_plot: panels.CostPlot | None = None
         self._marked_at = -np.inf
 
-    def __enter__(self) -> Player:
-        """Start."""
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Stop."""
-        self.stop()
-
-    @property
-    def server(self) -> viser.ViserServer:
-        """The Viser server; RuntimeError before `start` and after `stop`."""
-        if self._server is None:
-            raise RuntimeError("the player is not running; start it first")
-        return self._server
-
     @property
     def controls(self) -> Controls:
         """The widgets in the browser; RuntimeError before `start` and after `stop`."""
         if self._controls is None:
-            raise RuntimeError("the player is not running; start it first")
+            raise RuntimeError("the viewer is not running; start it first")
         return self._controls
-
-    @property
-    def url(self) -> str:
-        """Where to point the browser: the port is not the one asked for when that was taken."""
-        return address(self._host, self.server)
 
     @property
     def running(self) -> bool:
@@ -133,10 +107,9 @@ class Player:
         with self._lock:
             if self._server is not None:
                 return
-            self._ended.clear()
-            self._server = open_server(self._host, self._wanted_port)
+            server = self._open()
             try:
-                self._build(self._server)
+                self._build(server)
             except BaseException:
                 self.stop()
                 raise
@@ -156,11 +129,6 @@ class Player:
         if server is not None:
             with quiet():
                 server.stop()
-
-    def wait(self) -> None:
-        """Return when `stop` has been called; Ctrl-C gets through."""
-        while not self._ended.wait(0.5):
-            pass
 
     def toggle(self) -> None:
         """Play or pause; from the end, start over."""

@@ -1,24 +1,88 @@
-"""Opening a Viser server, and where it is."""
+"""What all that is served to a browser has in common: a Viser server, its address, and how it starts and ends."""
 
 from __future__ import annotations
 
 import socket
+import threading
+from abc import ABC, abstractmethod
+from typing import Self, TypeVar
 
 import viser
 
+from mjslq.validation import count
 from mjslq.viewer.scene import quiet
 
 
-def open_server(host: str, port: int) -> viser.ViserServer:
-    """A server at `host`:`port`, or at the next free port. Raises ValueError for an address of another machine."""
-    _refuse_foreign_host(host)
-    with quiet():
-        return viser.ViserServer(host, port, label="mjslq", verbose=False)
+class Served(ABC):
+    """Something in a browser; a context manager, or `start` and `stop`."""
+
+    kind = "viewer"
+    """What messages call it."""
+
+    def __init__(self, host: str, port: int) -> None:
+        """Serve at `host`:`port`, or at the next free port, from `start` on."""
+        self._host, self._wanted_port = host, count("port", port)
+        if port > 65535:
+            raise ValueError(f"port must be at most 65535, got {port}")
+        self._lock, self._ended = threading.RLock(), threading.Event()
+        self._server: viser.ViserServer | None = None
+
+    @abstractmethod
+    def start(self) -> None:
+        """Open the server; does nothing when running."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Close the server; does nothing when not running."""
+
+    def __enter__(self) -> Self:
+        """Start."""
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stop."""
+        self.stop()
+
+    @property
+    def server(self) -> viser.ViserServer:
+        """The Viser server; RuntimeError before `start` and after `stop`."""
+        if self._server is None:
+            raise RuntimeError(f"the {self.kind} is not running; start it first")
+        return self._server
+
+    @property
+    def url(self) -> str:
+        """Where to point the browser: the port is not the one asked for when that was taken."""
+        return f"http://{'127.0.0.1' if self._host == '0.0.0.0' else self._host}:{self.server.get_port()}"
+
+    def wait(self) -> None:
+        """Return when `stop` has been called; Ctrl-C gets through."""
+        while not self._ended.wait(0.5):
+            pass
+
+    def _open(self) -> viser.ViserServer:
+        """Open the server. Raises ValueError for an address of another machine."""
+        self._ended.clear()
+        _refuse_foreign_host(self._host)
+        with quiet():
+            self._server = viser.ViserServer(self._host, self._wanted_port, label="mjslq", verbose=False)
+        return self._server
 
 
-def address(host: str, server: viser.ViserServer) -> str:
-    """Where to point the browser: the port is not the one asked for when that was taken."""
-    return f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{server.get_port()}"
+Shown = TypeVar("Shown", bound=Served)
+
+
+def present(shown: Shown, block: bool) -> Shown:
+    """Start something, say where it is, and stay until Ctrl-C if `block`."""
+    shown.start()
+    try:
+        print(f"{shown.kind} at {shown.url}" + (" (Ctrl-C ends it)" if block else ""), flush=True)
+        if block:
+            shown.wait()
+    except KeyboardInterrupt:
+        shown.stop()
+    return shown
 
 
 def _refuse_foreign_host(host: str) -> None:
