@@ -147,7 +147,7 @@ sys.path.insert(0, {tests!r})
 from test_batch import Inline, pole
 import mjslq
 
-for solved in mjslq.solve_many([pole(t / 30) for t in range(30)], Inline(), out={out!r}):
+for solved in mjslq.solve_many([pole(t / 30) for t in range(30)], Inline(), out={out!r}, in_flight=2):
     print(solved.index, solved.resumed, flush=True)
     if solved.index == 4 and sys.argv[1:] == ["wait"]:
         time.sleep(600.0)
