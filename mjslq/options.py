@@ -43,7 +43,8 @@ class Stopping:
     """Wall time after which the best iterate has to do. [s]"""
     lean: bool = False
     """Whether the last of `max_iterations` ends with its step: the gains are those of the iterate before it, and
-    gradient and multipliers are not found. Half the time of a single iteration; for receding horizons."""
+    gradient and multipliers of control limits are not found. Half the time of a single iteration; for receding
+    horizons, in which the last iterate is what the next plan goes on from, whether or not it is the best one."""
 
     def __post_init__(self) -> None:
         _check_flag("lean", self.lean)

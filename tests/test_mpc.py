@@ -72,6 +72,30 @@ def test_constraints_hold_along_the_loop():
     assert loop.trajectory.X[-1] == pytest.approx([1.0, 0.0], abs=5e-2)
 
 
+def test_one_iteration_a_plan_does_with_constraints_too():
+    """The multipliers of the last plan serve the next: the loop is that of plans which are solved to the end."""
+    problem = double_integrator(bounds=mjslq.Bounds(x=([-np.inf, -0.5], [np.inf, 0.5])))
+    once, whole = (mjslq.MPC(problem, iterations=k).run(duration=3.0).trajectory for k in (1, 30))
+    assert once.X[:, 1].max() == pytest.approx(0.5, abs=1e-6)
+    assert pytest.approx(whole.X, abs=1e-3) == once.X
+
+
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_a_car_parks_past_obstacles_by_short_plans(iterations):
+    made = mjslq.problems.get("car_obstacles")
+    discs, goal = made.constraints[0], np.array([2.5, 2.2, np.pi / 2.0, 0.0])
+    costs = [
+        mjslq.costs.Control(1.0),
+        mjslq.costs.State([1.0, 1.0, 0.1, 0.1], goal, "always", terminal_weight=[100.0, 100.0, 10.0, 10.0]),
+    ]
+    problem = mjslq.Problem(made.dynamics, 30, np.zeros(4), costs, constraints=[discs], bounds=made.bounds)
+    mpc = mjslq.MPC(problem, iterations=iterations, first_iterations=100)
+    driven = mpc.run(duration=10.0).trajectory
+    along = mjslq.Problem(made.dynamics, driven.horizon, np.zeros(4), costs, constraints=[discs])
+    assert driven.X[-1] == pytest.approx(goal, abs=0.1)
+    assert along.violation(driven) < 1e-2 and np.abs(driven.X[:, 3]).max() <= 1.2 + 1e-6
+
+
 def test_moving_a_plan_by_steps_and_by_parts_of_steps():
     plan = mjslq.solve(double_integrator())
     by_two, by_half = moved(plan, 2 * H), moved(plan, 0.5 * H)

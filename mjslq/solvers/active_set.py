@@ -63,6 +63,9 @@ BEYOND = 1e-10
 """Violation that the step may leave of an entry that is not in force, scaled."""
 ROUNDS = 12
 """Sweeps for one step, at most."""
+IN_BOX = 20
+"""Sweeps to find the controls at their limits, at most. Weights of constraints are up to 1e8 times those of the
+controls: from a poor guess of what is in force, the way along the limits is long, and its end is of no use."""
 MOST, SLOW = 15, 4
 """Steps after which the method has failed, and how many of them need not halve the error."""
 SHARES = (1.0, 0.5, 0.25, 0.0)
@@ -271,7 +274,7 @@ class ActiveSet:
             for rows, at, values in zip(self._rows, active, self.multipliers, strict=True):
                 rows.add(at, values, into)
             model = base._replace(**into._asdict())
-            found = solve_in_box(model, here.box)
+            found = solve_in_box(model, here.box, rounds=IN_BOX)
             X, U = found.lq.X, found.lq.U
             along = [rows.along(X, U) for rows in self._rows]
             multipliers = tuple(

@@ -70,7 +70,7 @@ def descend(start: Iterate, method: Method, stopping: Stopping, monitor: Monitor
     except Exception as error:  # whatever a callback, a cost or MuJoCo raises: the best iterate is not to be lost
         _fail(outcome, error)
     interrupts.hold()
-    _finish(outcome, method)
+    _finish(outcome, method, stopping.lean)
     if np.isfinite(outcome.gradient_norm):
         outcome.status = told_apart(outcome.status, outcome.iterate)
     outcome.remark = " ".join(part for part in (outcome.remark, method.remark()) if part)
@@ -173,12 +173,14 @@ def _fail(outcome: Outcome, error: Exception) -> None:
         outcome.remark = f"{type(error).__name__}: {' '.join(str(error).split())}."
 
 
-def _finish(outcome: Outcome, method: Method) -> None:
+def _finish(outcome: Outcome, method: Method, lean: bool) -> None:
     """Roll out a guess of the states that was left open, and find what belongs to the last iterate."""
     try:
         if outcome.iterate.ends is not None:
             outcome.iterate = rolled_out(outcome.iterate, outcome.gains)
-        last, outcome.iterate = outcome.iterate, method.best(outcome.iterate, outcome.status)
+        last = outcome.iterate
+        if not lean:
+            outcome.iterate = method.best(last, outcome.status)
         moved, here = last is not outcome.iterate, outcome.iterate
         outcome.duals = method.duals(here)
         if outcome.lean:
