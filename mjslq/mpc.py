@@ -17,6 +17,10 @@ A step of the controller does
 
 One iteration a plan is the real-time iteration of Diehl, Bock, Schloeder (SIAM J. Control Optim. 43, 2005). A plan that
 fails leaves the last one in force. Problems are moved by `Problem.at`, which binds nothing anew.
+
+Constraints that x_p violates at a plan's first knot, where no control can change them, are granted there: they hold
+from the next knot on. Multipliers move along with the plan, and so a few iterations do with constraints, too, once a
+first plan has found the way (`first_iterations`).
 """
 
 from __future__ import annotations
@@ -36,6 +40,7 @@ from mjslq.optimize import option_names, solve
 from mjslq.policy import NEAR, Policy
 from mjslq.problem import Problem
 from mjslq.result import Result
+from mjslq.solvers.feasibility import granted
 from mjslq.status import Status
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array, choose, count, finite, nonnegative, positive
@@ -252,8 +257,11 @@ class MPC:
         began = time.perf_counter()
         first = self._plan is None
         guess = self._guess if self._plan is None else moved(self._plan, t - self._begins)
+        problem = self.problem.at(x, t)
+        if self._plan is not None:
+            problem = granted(problem, guess.trajectory.U)
         result = solve(
-            self.problem.at(x, t), self._method, guess=guess, keep_iterates=False,
+            problem, self._method, guess=guess, keep_iterates=False,
             max_iterations=self._first if first else self._iterations, **self._options,
         )  # fmt: skip
         useful = result.status not in USELESS and math.isfinite(result.cost)

@@ -136,9 +136,14 @@ class Problem:
             if any(later is not term for later, term in zip(terms, self._terms, strict=True)):
                 object.__setattr__(moved, "_terms", terms)
                 moved.__dict__.pop("_prepared", None)
-            shifted = tuple(constraint.at(t0) for constraint in self.bound_constraints)
-            object.__setattr__(moved, "bound_constraints", shifted)
+            moved = moved.with_constraints(tuple(constraint.at(t0) for constraint in self.bound_constraints))
         return moved
+
+    def with_constraints(self, constraints: tuple[BoundConstraint, ...]) -> Problem:
+        """The same problem with these in place of its `bound_constraints`."""
+        made = copy.copy(self)
+        object.__setattr__(made, "bound_constraints", constraints)
+        return made
 
     def start(self, x: Array) -> Array:
         """The initial state with its free entries taken from `x` (nx,). Shape (nx,)."""

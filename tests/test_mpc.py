@@ -8,6 +8,7 @@ import pytest
 import mjslq
 from mjslq.mpc import moved
 from mjslq.simulation import Kick, Push
+from mjslq.status import Status
 
 H = 0.05
 
@@ -80,20 +81,33 @@ def test_one_iteration_a_plan_does_with_constraints_too():
     assert pytest.approx(whole.X, abs=1e-3) == once.X
 
 
-@pytest.mark.parametrize("iterations", [1, 3])
-def test_a_car_parks_past_obstacles_by_short_plans(iterations):
+def test_a_car_parks_past_obstacles_by_short_plans():
     made = mjslq.problems.get("car_obstacles")
     discs, goal = made.constraints[0], np.array([2.5, 2.2, np.pi / 2.0, 0.0])
     costs = [
         mjslq.costs.Control(1.0),
         mjslq.costs.State([1.0, 1.0, 0.1, 0.1], goal, "always", terminal_weight=[100.0, 100.0, 10.0, 10.0]),
     ]
-    problem = mjslq.Problem(made.dynamics, 30, np.zeros(4), costs, constraints=[discs], bounds=made.bounds)
-    mpc = mjslq.MPC(problem, iterations=iterations, first_iterations=100)
-    driven = mpc.run(duration=10.0).trajectory
+    problem = mjslq.Problem(made.dynamics, 25, np.zeros(4), costs, constraints=[discs], bounds=made.bounds)
+    driven = mjslq.MPC(problem, iterations=5, first_iterations=300).run(duration=6.0).trajectory
     along = mjslq.Problem(made.dynamics, driven.horizon, np.zeros(4), costs, constraints=[discs])
     assert driven.X[-1] == pytest.approx(goal, abs=0.1)
     assert along.violation(driven) < 1e-2 and np.abs(driven.X[:, 3]).max() <= 1.2 + 1e-6
+
+
+def test_a_state_beyond_a_limit_is_led_back():
+    """A kick takes the mass beyond its speed limit: the plans after it are feasible, and lead back at once."""
+    problem = double_integrator(bounds=mjslq.Bounds(x=([-np.inf, -0.5], [np.inf, 0.5])))
+    mpc = mjslq.MPC(problem, iterations=20)
+    x = np.zeros(2)
+    for k in range(20):
+        if k == 10:
+            x = x + np.array([0.0, 0.08])
+        x = problem.dynamics.step(x, mpc.step(x, k * H))[0]
+        if k == 10:
+            assert mpc.plan.status is Status.CONVERGED
+            assert x[1] == pytest.approx(0.5, abs=1e-6)
+    assert x[1] <= 0.5 + 1e-6 and mpc.statistics.endings["infeasible"] == 0
 
 
 def test_moving_a_plan_by_steps_and_by_parts_of_steps():

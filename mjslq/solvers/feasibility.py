@@ -10,11 +10,15 @@ penalty was too light for it, as with constraints whose units make them small.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mjslq.bound_constraints import BoundConstraint
 from mjslq.lq.box import solve_in_box
 from mjslq.lq.problem import NotPositiveDefinite
+from mjslq.problem import Problem
+from mjslq.residuals import Identity
 from mjslq.solvers.augmented import Augmented, zero_multipliers
 from mjslq.solvers.iterate import Iterate
 from mjslq.validation import Array
@@ -36,6 +40,37 @@ def fixed(start: Iterate, tol: float) -> str:
         if violation > tol:
             return f"The initial state itself violates {constraint.name!r}, by {violation:.3g}."
     return ""
+
+
+def granted(problem: Problem, U: Array) -> Problem:
+    """The problem with what its initial state violates granted at knot 0, where no control enters it.
+
+    For receding horizons: a state that was measured beyond a limit is no reason not to plan the way back. `U` (N, nu)
+    are the controls to judge by. The same problem where there is nothing to grant.
+    """
+    of_start = [c for c in problem.bound_constraints if c.seen_at[0] == 0]
+    if not of_start:
+        return problem
+    trajectory = problem.rollout(U)
+    if trajectory.diverged or not any(c.violation(trajectory)[0] > 0.0 for c in of_start):
+        return problem
+    linearization = problem.dynamics.linearize(trajectory)
+
+    def widened(c: BoundConstraint) -> BoundConstraint:
+        if c not in of_start:
+            return c
+        r, by_u = c.residual.value(trajectory)[0], c.residual.jacobian(trajectory, linearization).u
+        if by_u is None:
+            stuck = np.ones(r.shape, dtype=bool)
+        elif isinstance(by_u, Identity):
+            return c
+        else:
+            stuck = ~by_u[0].any(axis=1)
+        lower, upper = c.lower.copy(), c.upper.copy()
+        lower[0], upper[0] = np.where(stuck, [np.minimum(lower[0], r), np.maximum(upper[0], r)], [lower[0], upper[0]])
+        return replace(c, lower=lower, upper=upper)
+
+    return problem.with_constraints(tuple(widened(c) for c in problem.bound_constraints))
 
 
 def verdict(here: Iterate, tol: float) -> str:
