@@ -12,7 +12,12 @@ Notation
     r(x, u, t) with weight W          l = 1/2 r'W r, or another loss of r's length: see `mjslq.losses`
 
 `when` names the knots at which a term acts: "running", "terminal", "always" (both), "initial", or knots by index (one,
-a slice, a list; from the end if negative) or by time [s]; see `mjslq.knots`.
+a slice, a list; from the end if negative) or by time [s] after the start of the horizon; see `mjslq.knots`.
+
+`target` is a constant, an array with a row for each knot, or a function of time t -> target, which is called once for
+each knot when the problem is made. On a horizon that begins at t0 (`Problem.at`, `mjslq.MPC`) functions see the time
+t0 + t_n, those of `Residual` and `Function` like those of targets; arrays and `when` belong to the knots, and move
+along with the horizon. See `mjslq.targets`.
 """
 
 from __future__ import annotations
@@ -32,6 +37,7 @@ from mjslq.dynamics.dynamics import Dynamics
 from mjslq.knots import Knots, When, knots_of
 from mjslq.losses import LossName, bind_loss, check_loss
 from mjslq.quadratic import Expansion as Expansion
+from mjslq.targets import Timed
 from mjslq.user_function import UserCost, UserFunction
 from mjslq.validation import Array, per_step_matrices
 
@@ -60,10 +66,10 @@ class Tracking(CostTerm):
     """Control weight. Shape () | (nu,) | (nu, nu) | (N, nu, nu)."""
     Q_final: ArrayLike
     """Terminal state weight. Shape () | (ndx,) | (ndx, ndx)."""
-    x_target: ArrayLike | None = None
-    """x_o: one state, or one a knot; zero unless given. Shape (nx,) | (N + 1, nx)."""
-    u_target: ArrayLike | None = None
-    """u_o: one control, or one a step; zero unless given. Shape (nu,) | (N, nu)."""
+    x_target: ArrayLike | Timed | None = None
+    """x_o: one state, one a knot, or t -> state; zero unless given. Shape (nx,) | (N + 1, nx)."""
+    u_target: ArrayLike | Timed | None = None
+    """u_o: one control, one a step, or t -> control; zero unless given. Shape (nu,) | (N, nu)."""
 
     def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
         """See `CostTerm.bind`."""
@@ -87,8 +93,8 @@ class State(CostTerm):
 
     weight: ArrayLike
     """A number, a diagonal or a matrix, positive semidefinite. Shape () | (ndx,) | (ndx, ndx)."""
-    target: ArrayLike | None = None
-    """One state, or one a knot, or one for each of the knots that `when` lists; zero unless given.
+    target: ArrayLike | Timed | None = None
+    """One state, one a knot, one for each of the knots that `when` lists, or t -> state; zero unless given.
     Shape (nx,) | (N + 1, nx) | (k, nx)."""
     when: When = "running"
     """Where it acts; see `mjslq.knots.When`."""
@@ -115,9 +121,9 @@ class Control(CostTerm):
     weight: ArrayLike
     """A number, a diagonal or a matrix, positive semidefinite; with the other terms of a problem, all controls have to
     cost something. Shape () | (nu,) | (nu, nu)."""
-    target: ArrayLike = 0.0
-    """One control, or one a step, or one for each of the knots that `when` lists. Shape () | (nu,) | (N, nu) | (k, nu).
-    """
+    target: ArrayLike | Timed = 0.0
+    """One control, one a step, one for each of the knots that `when` lists, or t -> control.
+    Shape () | (nu,) | (N, nu) | (k, nu)."""
     when: When = "running"
     """Where it acts: "running", "initial", or some of the knots 0 ... N-1; see `mjslq.knots.When`."""
     loss: LossName = field(default="quadratic", kw_only=True)
@@ -143,8 +149,8 @@ class Sensor(CostTerm):
 
     name: str
     """The sensor's name."""
-    target: ArrayLike
-    """One reading, or one a knot, or one for each of the knots that `when` lists.
+    target: ArrayLike | Timed
+    """One reading, one a knot, one for each of the knots that `when` lists, or t -> reading.
     Shape () | (m,) | (N + 1, m) | (k, m)."""
     weight: ArrayLike = 1.0
     """A number, a diagonal or a matrix, positive semidefinite. Shape () | (m,) | (m, m); m = 3 for quaternions."""
@@ -198,7 +204,7 @@ class Residual(CostTerm):
         function = UserFunction("r", self.r, dynamics.nx, dynamics.nu, self.jacobian, self.parameters)
 
         def make(knots: Knots) -> residuals.BoundResidual:
-            return residuals.bind_function(dynamics, function, knots, dynamics.steps(N))
+            return residuals.FunctionResidual(dynamics, function, knots)
 
         label = f"Residual {getattr(self.r, '__name__', type(self.r).__name__)!r}"
         return _bind(label, self, dynamics.steps(N), make, self.terminal_weight)
@@ -230,7 +236,7 @@ class Function(CostTerm):
         steps = dynamics.steps(N)
         knots = knots_of(self.when, steps)
         function = UserCost("l", self.l, dynamics.nx, dynamics.nu, self.gradient, self.hessian, self.parameters)
-        residual = residuals.bind_function(dynamics, function, knots, steps)
+        residual = residuals.FunctionResidual(dynamics, function, knots)
         label = f"Function {getattr(self.l, '__name__', type(self.l).__name__)!r}, {knots}"
         return (FunctionCost(residual, knots.scales(steps), label),)
 

@@ -59,7 +59,7 @@ def task_errors(problem: Problem, trajectory: Trajectory) -> list[TaskError]:
     for term in problem.costs:
         if isinstance(term, Sensor) and not trajectory.diverged:
             knots = knots_of(term.when, problem.dynamics.steps(problem.horizon))
-            residual = bind_output(problem.dynamics, term.name, term.target, knots)
+            residual = bind_output(problem.dynamics, term.name, term.target, knots).at(problem.t0)
             away: Array = np.linalg.norm(residual.value(trajectory), axis=1)
             unit = sensor_unit(problem.dynamics, term.name)
             found[term.name] = TaskError(term.name, unit, float(away.max()), float(away[-1]), len(away))
