@@ -2,7 +2,7 @@
 
     lower <= r(x_n, u_n, t_n) <= upper
 
-    State       r = x                    Sensor      r = a reading of the engine
+    State       r = x                    Sensor      r = a reading of the engine, or of a Frame
     Path        r = w(x, u, t) <= 0      Terminal    r = m(x_N) = 0
     Initial     r = q(x_0) = 0, with x_0, or some of its entries, unknown
     Control     limits of the controls, which hold exactly and at every step, beside those of the problem's `bounds`
@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 from mjslq import residuals
 from mjslq.bound_constraints import BoundConstraint, EndResidual, EntriesResidual
 from mjslq.dynamics.dynamics import Dynamics
+from mjslq.dynamics.records import QUANTITIES, OfFrame, frame_sensor
 from mjslq.intervals import Interval
 from mjslq.knots import When, knots_of
 from mjslq.lq.box import Box
@@ -149,6 +150,32 @@ class Sensor(Constraint):
         names = dynamics.output_names[columns]
         interval = Interval(self.lower, self.upper, residual.size, knots, N + 1, names)
         return BoundConstraint(name, residual, *interval(), interval if interval.moves else None)
+
+
+@dataclass(frozen=True)
+class Frame(Constraint):
+    """Limits of a frame's position or velocities, in the world's axes; see `mjslq.costs.Frame` for frames."""
+
+    frame: str
+    """The frame's name: a body, site, geom or camera; with Pinocchio a frame of the model."""
+    lower: ArrayLike | Timed | None = None
+    """As in `Sensor`. Shape () | (3,) | (N + 1, 3) | (k, 3)."""
+    upper: ArrayLike | Timed | None = None
+    """The same, inf where there is none."""
+    when: When = "always"
+    """Where it holds; see `mjslq.knots.When`."""
+    of: OfFrame = field(default="position", kw_only=True)
+    """"position", "linear-velocity" or "angular-velocity"."""
+
+    @property
+    def kind(self) -> str:
+        """See `Constraint.kind`."""
+        return frame_sensor(self.frame, self.of)
+
+    def bind(self, dynamics: Dynamics, N: int, name: str) -> BoundConstraint:
+        """See `Constraint.bind`."""
+        output = dynamics.frame_output(self.frame, choose("quantity of a frame", self.of, QUANTITIES))
+        return Sensor(output, self.lower, self.upper, self.when).bind(dynamics, N, name)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Cost terms: what a problem asks for, as sums over the knots of a trajectory.
 
-Every term comes in two steps. What the user writes (`Tracking`, `State`, `Control`, `Sensor`, `Residual`,
+Every term comes in two steps. What the user writes (`Tracking`, `State`, `Control`, `Sensor`, `Frame`, `Residual`,
 `Function`) is a small frozen record. `bind` fits it to a system and a horizon, where sizes are checked and weights are
 spread over the knots: a residual (`mjslq.residuals`) with a loss (`mjslq.losses`), which evaluates and expands over the
 whole horizon at once (`mjslq.bound_costs`).
@@ -34,12 +34,13 @@ from mjslq import residuals
 from mjslq.bound_costs import BoundTerm as BoundTerm
 from mjslq.bound_costs import FunctionCost, ResidualCost
 from mjslq.dynamics.dynamics import Dynamics
+from mjslq.dynamics.records import QUANTITIES, OfFrame
 from mjslq.knots import Knots, When, knots_of
 from mjslq.losses import LossName, bind_loss, check_loss
 from mjslq.quadratic import Expansion as Expansion
 from mjslq.targets import Timed
 from mjslq.user_function import UserCost, UserFunction
-from mjslq.validation import Array, per_step_matrices
+from mjslq.validation import Array, choose, per_step_matrices
 
 
 class CostTerm(ABC):
@@ -173,6 +174,48 @@ class Sensor(CostTerm):
 
 
 @dataclass(frozen=True)
+class Frame(CostTerm):
+    """The same of a frame: where a body, site, geom or camera is, how it is turned, how fast it moves or turns.
+
+    The engine reads it by a sensor of the model, or one that was added by `MujocoDynamics.from_path(...,
+    frames=["hand"])`; Pinocchio's by `outputs=("hand", "hand.orientation")`, without velocities. Positions [m] and
+    velocities [m/s, rad/s] are in the world's axes, orientations unit quaternions (w, x, y, z), compared by the
+    rotation vector [rad] between them and the target.
+    """
+
+    name: str
+    """The frame's name."""
+    target: ArrayLike | Timed
+    """One value, one a knot, one for each of the knots that `when` lists, or t -> value.
+    Shape () | (m,) | (N + 1, m) | (k, m); m = 4 for orientations, otherwise 3."""
+    weight: ArrayLike = 1.0
+    """A number, a diagonal or a matrix, positive semidefinite. Shape () | (3,) | (3, 3)."""
+    when: When = "running"
+    """Where it acts; see `mjslq.knots.When`."""
+    of: OfFrame = field(default="position", kw_only=True)
+    """"position", "orientation", "linear-velocity" or "angular-velocity"."""
+    loss: LossName = field(default="quadratic", kw_only=True)
+    """"quadratic", "smooth-abs", "huber" or "pseudo-huber"; see `mjslq.losses`."""
+    width: float | None = field(default=None, kw_only=True)
+    """Width of the other losses, in the residual's unit; 0.1 unless given."""
+    terminal_weight: ArrayLike | None = field(default=None, kw_only=True)
+    """With when="always": the weight of the terminal value; `weight` unless given. Shape as `weight`."""
+
+    def output(self, dynamics: Dynamics) -> str:
+        """Name of the engine's output that reads the frame. Raises ValueError."""
+        return dynamics.frame_output(self.name, choose("quantity of a frame", self.of, QUANTITIES))
+
+    def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
+        """See `CostTerm.bind`."""
+        output = self.output(dynamics)
+
+        def make(knots: Knots) -> residuals.BoundResidual:
+            return residuals.bind_output(dynamics, output, self.target, knots)
+
+        return _bind(f"Frame {self.name!r}, {self.of}", self, dynamics.steps(N), make, self.terminal_weight)
+
+
+@dataclass(frozen=True)
 class Residual(CostTerm):
     """1/2 r'W r for any smooth residual r(x, u, t), or another loss of it; expanded by Gauss-Newton.
 
@@ -243,7 +286,7 @@ class Function(CostTerm):
 
 def _bind(
     kind: str,
-    term: State | Control | Sensor | Residual,
+    term: State | Control | Sensor | Frame | Residual,
     steps: Array,
     make: Callable[[Knots], residuals.BoundResidual],
     terminal_weight: ArrayLike | None = None,

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mjslq.dynamics.records import frame_sensor
 from mjslq.tasks.reading import Source, TaskError
 from mjslq.tasks.schema import DistanceConstraint, Engine, FrameConstraint, FrameCost, TaskFile
 from mjslq.validation import choose
@@ -31,11 +32,6 @@ _ONLY = {
 """Keys of [engine] that one engine alone has."""
 _PINOCCHIO = {"position": "", "orientation": ".orientation"}
 """What Pinocchio's engine calls the outputs of a frame."""
-
-
-def frame_sensor(name: str, of: str) -> str:
-    """Name of the sensor that reads a frame, where the model has none of its own for it."""
-    return f"{name}.{of}"
 
 
 def distance_sensor(first: str, second: str) -> str:
@@ -97,6 +93,7 @@ def _mujoco(task: TaskFile, file: Path, folder: Path, source: Source) -> MujocoD
     import mujoco
 
     from mjslq.dynamics.mujoco import MujocoDynamics
+    from mjslq.dynamics.mujoco.frames import add_frame_sensor
 
     engine = task.engine
     names = ("timestep", "substeps", "integrator", "jacobian", "threads")
@@ -110,7 +107,7 @@ def _mujoco(task: TaskFile, file: Path, folder: Path, source: Source) -> MujocoD
             return MujocoDynamics.from_model(spec, **options)
     for place, wanted in _frames(task):
         with source.at(*place):
-            _add_frame(spec, wanted)
+            add_frame_sensor(spec, _frame_of(wanted), wanted.of)
     for i, constraint in enumerate(task.constraints):
         if isinstance(constraint, DistanceConstraint):
             with source.at("constraints", i, "between"):
@@ -193,30 +190,6 @@ def _refuse_frames(task: TaskFile, source: Source) -> None:
     for i, constraint in enumerate(task.constraints):
         if isinstance(constraint, DistanceConstraint):
             raise TaskError(source.sentence(("constraints", i), f"{task.model} is binary and takes no further sensors"))
-
-
-def _add_frame(spec: mujoco.MjSpec, wanted: FrameCost | FrameConstraint) -> None:
-    """Add a sensor that reads a frame, unless it is there."""
-    import mujoco
-
-    kinds = {
-        "position": mujoco.mjtSensor.mjSENS_FRAMEPOS,
-        "orientation": mujoco.mjtSensor.mjSENS_FRAMEQUAT,
-        "linear-velocity": mujoco.mjtSensor.mjSENS_FRAMELINVEL,
-        "angular-velocity": mujoco.mjtSensor.mjSENS_FRAMEANGVEL,
-    }
-    name, frame = frame_sensor(_frame_of(wanted), wanted.of), _frame_of(wanted)
-    if spec.sensor(name) is not None:
-        return
-    objects = {
-        mujoco.mjtObj.mjOBJ_SITE: [site.name for site in spec.sites],
-        mujoco.mjtObj.mjOBJ_XBODY: [body.name for body in spec.bodies if body.name != "world"],
-        mujoco.mjtObj.mjOBJ_GEOM: [geom.name for geom in spec.geoms],
-        mujoco.mjtObj.mjOBJ_CAMERA: [camera.name for camera in spec.cameras],
-    }
-    choose("site, body, geom or camera", frame, dict.fromkeys(n for names in objects.values() for n in names if n))
-    kind = next(kind for kind, names in objects.items() if frame in names)
-    spec.add_sensor(name=name, type=kinds[wanted.of], objtype=kind, objname=frame)
 
 
 def _add_distance(spec: mujoco.MjSpec, constraint: DistanceConstraint) -> None:

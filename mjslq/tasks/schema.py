@@ -20,6 +20,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from mjslq.dynamics.records import OfFrame
 from mjslq.losses import LossName
 
 
@@ -63,7 +64,6 @@ When = Annotated[
     Says('"running", "terminal", "always", "initial", a knot, a time, a list of either, or a window { from = , to = }'),
 ]
 Of = Literal["position", "velocity"]
-OfFrame = Literal["position", "orientation", "linear-velocity", "angular-velocity"]
 
 
 class Engine(Table):
