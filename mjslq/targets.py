@@ -60,11 +60,11 @@ class Rows:
         """Rows on a horizon that begins at `t0`. Shape (k, m). [s]
 
         Raises ValueError, which names the time, where the function raises an error of its own, gives another shape than
-        () or (m,), NaN, or zeros for a quaternion.
+        () or (m,), NaN, or zeros for a quaternion. What a `Signal` raises is passed on.
         """
         times = self.times + t0
         if isinstance(self.function, Signal):
-            rows = self._values(lambda: self.function.over(times), times[0])  # type: ignore[attr-defined]
+            rows = as_array(f"the values of {self.name}(t)", self.function.over(times), finite=False)
             if rows.shape != (len(times), self.size):
                 raise ValueError(self._wrong_shape(times[0], rows.shape[1:]))
         else:

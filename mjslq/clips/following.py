@@ -14,7 +14,7 @@ from mjslq.clips.recording import velocity_entry
 from mjslq.clips.resampling import Timing
 from mjslq.costs import Frame
 from mjslq.dynamics.dynamics import Dynamics
-from mjslq.dynamics.records import QUANTITIES
+from mjslq.dynamics.records import QUANTITIES, OfFrame
 from mjslq.knots import When
 from mjslq.losses import SHAPES
 from mjslq.targets import Signal
@@ -116,34 +116,41 @@ def joint_signal(clip: Clip, entries: tuple[str, ...], timing: Timing) -> JointS
 def costs(
     clip: Clip,
     dynamics: Dynamics,
-    weights: Mapping[str, float] | None,
-    loss: str | Mapping[str, str],
-    width: float | Mapping[str, float] | None,
+    weights: Mapping[Any, float] | None,
+    loss: str | Mapping[Any, str],
+    width: float | Mapping[Any, float] | None,
     when: When,
     timing: Timing,
 ) -> list[Frame]:
     """See `Clip.costs`."""
-    wanted = WEIGHTS if weights is None else _by_quantity("weights", weights)
-    tracked = {of: nonnegative(f"weight of {of!r}", weight) for of, weight in wanted.items()}
     losses = dict.fromkeys(QUANTITIES, loss) if isinstance(loss, str) else _by_quantity("loss", loss)
     widths = _by_quantity("width", width) if isinstance(width, Mapping) else dict.fromkeys(QUANTITIES, width)
     step = float(np.min(dynamics.dt))
     terms = []
-    for of, weight in tracked.items():
-        having = [name for name, samples in clip.frames.items() if of in samples or POSE_OF.get(of) in samples]
-        if not having and weights is not None:
-            raise ValueError(f"{clip.name!r} has no {of} of any frame")
+    for name, of, weight in tracked(clip, weights):
         kind = losses.get(of, "quadratic")
         d = widths.get(of)
         if d is None and kind in SHAPES:
             d = WIDTHS[of]
-        for name in having if weight else []:
-            dynamics.frame_output(name, of)  # told here, with the name
-            signal = frame_signal(clip, name, of, timing, step)
-            terms.append(Frame(name, signal, weight, when, of=of, loss=kind, width=d))  # type: ignore[arg-type]
-    if not terms:
-        raise ValueError(f"there is nothing to track: {clip.name!r} has no frames, or all weights are zero")
+        dynamics.frame_output(name, of)  # told here, with the name
+        signal = frame_signal(clip, name, of, timing, step)
+        terms.append(Frame(name, signal, weight, when, of=of, loss=kind, width=d))  # type: ignore[arg-type]
     return terms
+
+
+def tracked(clip: Clip, weights: Mapping[Any, float] | None = None) -> list[tuple[str, OfFrame, float]]:
+    """Frames and quantities of a clip that have a weight, and which; see `Clip.costs`. Raises ValueError."""
+    wanted: Mapping[OfFrame, float] = WEIGHTS if weights is None else _by_quantity("weights", weights)
+    found = []
+    for of, given in wanted.items():
+        weight = nonnegative(f"weight of {of!r}", given)
+        having = [name for name, samples in clip.frames.items() if of in samples or POSE_OF.get(of) in samples]
+        if not having and weights is not None:
+            raise ValueError(f"{clip.name!r} has no {of} of any frame")
+        found += [(name, of, weight) for name in having if weight]
+    if not found:
+        raise ValueError(f"there is nothing to track: {clip.name!r} has no frames, or all weights are zero")
+    return found
 
 
 def states(clip: Clip, dynamics: Dynamics, times: Array, timing: Timing) -> Array:
