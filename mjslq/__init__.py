@@ -15,6 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from mjslq import clips as clips
     from mjslq import constraints as constraints
     from mjslq import costs as costs
     from mjslq import lq as lq
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from mjslq import starts as starts
     from mjslq.batch import solve_many as solve_many
     from mjslq.bounds import Bounds as Bounds
+    from mjslq.clips.clip import Clip as Clip
     from mjslq.contact import Contact as Contact
     from mjslq.dynamics.derivative_check import DerivativeCheck as DerivativeCheck
     from mjslq.dynamics.dynamics import Dynamics as Dynamics
@@ -52,6 +54,7 @@ if TYPE_CHECKING:
 __version__ = "0.3.0"
 
 _HOME = {
+    "clips": "mjslq.clips",
     "constraints": "mjslq.constraints",
     "costs": "mjslq.costs",
     "lq": "mjslq.lq",
@@ -59,6 +62,7 @@ _HOME = {
     "simulation": "mjslq.simulation",
     "starts": "mjslq.starts",
     "Bounds": "mjslq.bounds",
+    "Clip": "mjslq.clips",
     "Contact": "mjslq.contact",
     "DerivativeCheck": "mjslq.dynamics.derivative_check",
     "Dynamics": "mjslq.dynamics.dynamics",
@@ -87,7 +91,7 @@ _HOME = {
     "view": "mjslq.viewer",
 }
 
-_MODULES = ("constraints", "costs", "lq", "problems", "simulation", "starts")
+_MODULES = ("clips", "constraints", "costs", "lq", "problems", "simulation", "starts")
 """Names that are modules themselves."""
 
 __all__ = ["__version__", *_HOME]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjslq.dynamics.dynamics import Dynamics, Linearization
+from mjslq.intervals import Interval
 from mjslq.knots import Knots
 from mjslq.quadratic import Expansion, transposed_times
 from mjslq.residuals import BoundResidual, Jacobian, Slopes
@@ -37,6 +38,8 @@ class BoundConstraint:
     """-inf where there is none. Shape (k, m)."""
     upper: Array
     """inf where there is none. Shape (k, m)."""
+    interval: Interval | None = None
+    """Where the limits come from, if they depend on time."""
 
     @property
     def seen_at(self) -> NDArray[np.int64]:
@@ -56,9 +59,15 @@ class BoundConstraint:
         return everywhere
 
     def at(self, t0: float) -> BoundConstraint:
-        """The same constraint on a horizon that starts at the time `t0` [s]."""
+        """The same constraint on a horizon that starts at the time `t0` [s]. Raises ValueError."""
         residual = self.residual.at(t0)
-        return self if residual is self.residual else replace(self, residual=residual)
+        if self.interval is None:
+            return self if residual is self.residual else replace(self, residual=residual)
+        try:
+            lower, upper = self.interval(t0)
+        except ValueError as error:
+            raise ValueError(f"constraint {self.name!r} from t = {t0:g} s on: {error}") from None
+        return replace(self, residual=residual, lower=lower, upper=upper)
 
 
 class EntriesResidual(BoundResidual):

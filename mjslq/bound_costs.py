@@ -61,7 +61,7 @@ class BoundTerm(ABC):
         return
 
     def at(self, t0: float) -> BoundTerm:
-        """The same term on a horizon that starts at the time `t0` [s]: user functions get t0 + t_n.
+        """The same term on a horizon that starts at the time `t0` [s]: functions of time get t0 + t_n.
 
         Not added to an earlier `t0`. Arrays are shared; a term that does not depend on time returns itself.
         """

@@ -2,7 +2,7 @@
 
     lower <= r(x_n, u_n, t_n) <= upper
 
-    State       r = x                    Sensor      r = a reading of the engine
+    State       r = x                    Sensor      r = a reading of the engine, or of a Frame
     Path        r = w(x, u, t) <= 0      Terminal    r = m(x_N) = 0
     Initial     r = q(x_0) = 0, with x_0, or some of its entries, unknown
     Control     limits of the controls, which hold exactly and at every step, beside those of the problem's `bounds`
@@ -10,6 +10,9 @@
 As with costs, what the user writes is a small frozen record, and `bind` fits it to a system and a horizon
 (`mjslq.bound_constraints`). `when` names knots as it does for costs (`mjslq.knots`), but nothing is weighed with the
 length of a step: each knot has to obey. Between the knots nothing is asked for.
+
+Limits may be functions of time, as targets of costs may (`mjslq.targets`): on a horizon that begins at t0 they, and the
+functions of `Path`, see the time t0 + t_n, while arrays and `when` belong to the knots.
 """
 
 from __future__ import annotations
@@ -25,11 +28,14 @@ from numpy.typing import ArrayLike
 from mjslq import residuals
 from mjslq.bound_constraints import BoundConstraint, EndResidual, EntriesResidual
 from mjslq.dynamics.dynamics import Dynamics
-from mjslq.knots import Knots, When, knots_of
+from mjslq.dynamics.records import QUANTITIES, OfFrame, frame_sensor
+from mjslq.intervals import Interval
+from mjslq.knots import When, knots_of
 from mjslq.lq.box import Box
 from mjslq.lq.problem import Mask
+from mjslq.targets import Timed
 from mjslq.user_function import UserFunction
-from mjslq.validation import Array, as_array, choose
+from mjslq.validation import Array, choose
 
 RESERVED = "controls"
 """What results call the multipliers of the limits of the controls."""
@@ -67,10 +73,10 @@ class State(Constraint):
     A quaternion's entries are limited as the numbers that they are; most often they have no limits.
     """
 
-    lower: ArrayLike | None = None
-    """A number, one an entry, or one a knot and entry; -inf where there is none, None for none at all.
-    Shape () | (nx,) | (N + 1, nx) | (k, nx)."""
-    upper: ArrayLike | None = None
+    lower: ArrayLike | Timed | None = None
+    """A number, one an entry, one a knot and entry, or a function of time t -> limits; -inf where there is none, None
+    for none at all. Shape () | (nx,) | (N + 1, nx) | (k, nx)."""
+    upper: ArrayLike | Timed | None = None
     """The same, inf where there is none."""
     when: When = "always"
     """Where it holds; see `mjslq.knots.When`."""
@@ -78,7 +84,11 @@ class State(Constraint):
     def bind(self, dynamics: Dynamics, N: int, name: str) -> BoundConstraint:
         """See `Constraint.bind`."""
         knots = knots_of(self.when, dynamics.steps(N))
-        lower, upper = _interval(self.lower, self.upper, dynamics.nx, knots, N + 1, dynamics.state_names)
+        interval = Interval(self.lower, self.upper, dynamics.nx, knots, N + 1, dynamics.state_names)
+        lower, upper = interval()
+        if interval.moves:  # which entries are limited may depend on time
+            every = EntriesResidual(dynamics, np.arange(dynamics.nx), knots)
+            return BoundConstraint(name, every, lower, upper, interval)
         limited = np.flatnonzero((np.isfinite(lower) | np.isfinite(upper)).any(axis=0))
         residual = EntriesResidual(dynamics, limited, knots)
         return BoundConstraint(name, residual, lower[:, limited], upper[:, limited])
@@ -88,16 +98,24 @@ class State(Constraint):
 class Control(Constraint):
     """Limits of the controls, lower <= u <= upper, at every step; the problem's `bounds` hold beside them."""
 
-    lower: ArrayLike | None = None
-    """A number, one a control, or one a step and control; -inf where there is none, None for none at all.
-    Shape () | (nu,) | (N, nu)."""
-    upper: ArrayLike | None = None
+    lower: ArrayLike | Timed | None = None
+    """A number, one a control, one a step and control, or a function of time t -> limits; -inf where there is none,
+    None for none at all. Shape () | (nu,) | (N, nu)."""
+    upper: ArrayLike | Timed | None = None
     """The same, inf where there is none."""
 
     def bind(self, dynamics: Dynamics, N: int, name: str) -> Box:
         """See `Constraint.bind`."""
+        return Box(*self._interval(dynamics, N)())
+
+    def at(self, t0: float, dynamics: Dynamics, N: int) -> Box | None:
+        """The limits on a horizon that begins at `t0` [s]; None where they do not depend on time. Raises ValueError."""
+        interval = self._interval(dynamics, N)
+        return Box(*interval(t0)) if interval.moves else None
+
+    def _interval(self, dynamics: Dynamics, N: int) -> Interval:
         steps = knots_of("running", dynamics.steps(N))
-        return Box(*_interval(self.lower, self.upper, dynamics.nu, steps, N, dynamics.control_names))
+        return Interval(self.lower, self.upper, dynamics.nu, steps, N, dynamics.control_names)
 
 
 @dataclass(frozen=True)
@@ -106,10 +124,10 @@ class Sensor(Constraint):
 
     sensor: str
     """The sensor's name."""
-    lower: ArrayLike | None = None
-    """A number, one an entry of the reading, or one a knot and entry; -inf where there is none, None for none at all.
-    Shape () | (m,) | (N + 1, m) | (k, m)."""
-    upper: ArrayLike | None = None
+    lower: ArrayLike | Timed | None = None
+    """A number, one an entry of the reading, one a knot and entry, or a function of time t -> limits; -inf where there
+    is none, None for none at all. Shape () | (m,) | (N + 1, m) | (k, m)."""
+    upper: ArrayLike | Timed | None = None
     """The same, inf where there is none."""
     when: When = "always"
     """Where it holds; see `mjslq.knots.When`. At the terminal knot readings are taken with zero control."""
@@ -130,7 +148,34 @@ class Sensor(Constraint):
         knots = knots_of(self.when, dynamics.steps(N))
         residual = residuals.bind_output(dynamics, self.sensor, np.zeros(columns.stop - columns.start), knots)
         names = dynamics.output_names[columns]
-        return BoundConstraint(name, residual, *_interval(self.lower, self.upper, residual.size, knots, N + 1, names))
+        interval = Interval(self.lower, self.upper, residual.size, knots, N + 1, names)
+        return BoundConstraint(name, residual, *interval(), interval if interval.moves else None)
+
+
+@dataclass(frozen=True)
+class Frame(Constraint):
+    """Limits of a frame's position or velocities, in the world's axes; see `mjslq.costs.Frame` for frames."""
+
+    frame: str
+    """The frame's name: a body, site, geom or camera; with Pinocchio a frame of the model."""
+    lower: ArrayLike | Timed | None = None
+    """As in `Sensor`. Shape () | (3,) | (N + 1, 3) | (k, 3)."""
+    upper: ArrayLike | Timed | None = None
+    """The same, inf where there is none."""
+    when: When = "always"
+    """Where it holds; see `mjslq.knots.When`."""
+    of: OfFrame = field(default="position", kw_only=True)
+    """"position", "linear-velocity" or "angular-velocity"."""
+
+    @property
+    def kind(self) -> str:
+        """See `Constraint.kind`."""
+        return frame_sensor(self.frame, self.of)
+
+    def bind(self, dynamics: Dynamics, N: int, name: str) -> BoundConstraint:
+        """See `Constraint.bind`."""
+        output = dynamics.frame_output(self.frame, choose("quantity of a frame", self.of, QUANTITIES))
+        return Sensor(output, self.lower, self.upper, self.when).bind(dynamics, N, name)
 
 
 @dataclass(frozen=True)
@@ -167,7 +212,7 @@ class Path(Constraint):
                 raise ValueError(f'when must name steps with at="end", 0 to {N - 1}: no step begins at knot {N}')
             residual = EndResidual(dynamics, function, knots, np.cumsum(steps)[knots.indices])
         else:
-            residual = residuals.bind_function(dynamics, function, knots, steps)
+            residual = residuals.FunctionResidual(dynamics, function, knots)
         return _function_constraint(name, residual, self.equality)
 
 
@@ -328,10 +373,8 @@ def _of_state(
         raise ValueError(f"{letter}(x) must be a function, got {type(f).__name__}")
     of_state = None if jacobian is None else _JacobianOfState(jacobian, dynamics.nu)
     function = UserFunction(letter, _OfState(f), dynamics.nx, dynamics.nu, of_state)
-    steps = dynamics.steps(N)
-    return _function_constraint(
-        name, residuals.bind_function(dynamics, function, knots_of(when, steps), steps), equality
-    )
+    residual = residuals.FunctionResidual(dynamics, function, knots_of(when, dynamics.steps(N)))
+    return _function_constraint(name, residual, equality)
 
 
 def _function_constraint(name: str, residual: residuals.BoundResidual, equality: bool) -> BoundConstraint:
@@ -339,34 +382,3 @@ def _function_constraint(name: str, residual: residuals.BoundResidual, equality:
         raise ValueError(f"equality must be True or False, got {equality!r}")
     upper = np.zeros((len(residual.knots), residual.size))
     return BoundConstraint(name, residual, upper if equality else np.full_like(upper, -np.inf), upper)
-
-
-def _interval(
-    lower: ArrayLike | None, upper: ArrayLike | None, size: int, knots: Knots, every: int, names: Sequence[str]
-) -> tuple[Array, Array]:
-    """Limits at each of the k knots (k, size), from one for all, one an entry, or one for `every` knot and entry."""
-    sides = []
-    for side, given, none in (("lower", lower, -np.inf), ("upper", upper, np.inf)):
-        limit = as_array(side, none if given is None else given, finite=False)
-        listed = limit.ndim == 2 and len(limit) == len(knots)
-        rows = len(knots) if listed else every
-        if limit.shape not in ((), (size,), (rows, size)):
-            raise ValueError(
-                f"{side} must be a number, one an entry ({size},) or one a knot and entry ({every}, {size}), "
-                f"got shape {limit.shape}"
-            )
-        if np.isnan(limit).any():
-            raise ValueError(f"{side} must not be NaN; write {none} where there is no limit")
-        spread = np.broadcast_to(limit, (rows, size))
-        sides.append(np.array(spread if rows == len(knots) else spread[knots.at], order="C"))
-    low, high = sides
-    wrong = np.argwhere(~((low <= high) & (low < np.inf) & (high > -np.inf)))
-    if wrong.size:
-        n, i = wrong[0]
-        raise ValueError(
-            f"lower must not lie above upper, nothing would be left between them: got {low[n, i]:g} and {high[n, i]:g} "
-            f"for {names[i]!r} at knot {knots.indices[n]}"
-        )
-    if not (np.isfinite(low) | np.isfinite(high)).any():
-        raise ValueError("there is no finite limit; give lower, upper or both")
-    return low, high

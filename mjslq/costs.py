@@ -1,6 +1,6 @@
 """Cost terms: what a problem asks for, as sums over the knots of a trajectory.
 
-Every term comes in two steps. What the user writes (`Tracking`, `State`, `Control`, `Sensor`, `Residual`,
+Every term comes in two steps. What the user writes (`Tracking`, `State`, `Control`, `Sensor`, `Frame`, `Residual`,
 `Function`) is a small frozen record. `bind` fits it to a system and a horizon, where sizes are checked and weights are
 spread over the knots: a residual (`mjslq.residuals`) with a loss (`mjslq.losses`), which evaluates and expands over the
 whole horizon at once (`mjslq.bound_costs`).
@@ -12,7 +12,12 @@ Notation
     r(x, u, t) with weight W          l = 1/2 r'W r, or another loss of r's length: see `mjslq.losses`
 
 `when` names the knots at which a term acts: "running", "terminal", "always" (both), "initial", or knots by index (one,
-a slice, a list; from the end if negative) or by time [s]; see `mjslq.knots`.
+a slice, a list; from the end if negative) or by time [s] after the start of the horizon; see `mjslq.knots`.
+
+`target` is a constant, an array with a row for each knot, or a function of time t -> target, which is called once for
+each knot when the problem is made. On a horizon that begins at t0 (`Problem.at`, `mjslq.MPC`) functions see the time
+t0 + t_n, those of `Residual` and `Function` like those of targets; arrays and `when` belong to the knots, and move
+along with the horizon. See `mjslq.targets`.
 """
 
 from __future__ import annotations
@@ -29,11 +34,13 @@ from mjslq import residuals
 from mjslq.bound_costs import BoundTerm as BoundTerm
 from mjslq.bound_costs import FunctionCost, ResidualCost
 from mjslq.dynamics.dynamics import Dynamics
+from mjslq.dynamics.records import QUANTITIES, OfFrame
 from mjslq.knots import Knots, When, knots_of
 from mjslq.losses import LossName, bind_loss, check_loss
 from mjslq.quadratic import Expansion as Expansion
+from mjslq.targets import Timed
 from mjslq.user_function import UserCost, UserFunction
-from mjslq.validation import Array, per_step_matrices
+from mjslq.validation import Array, choose, per_step_matrices
 
 
 class CostTerm(ABC):
@@ -60,10 +67,10 @@ class Tracking(CostTerm):
     """Control weight. Shape () | (nu,) | (nu, nu) | (N, nu, nu)."""
     Q_final: ArrayLike
     """Terminal state weight. Shape () | (ndx,) | (ndx, ndx)."""
-    x_target: ArrayLike | None = None
-    """x_o: one state, or one a knot; zero unless given. Shape (nx,) | (N + 1, nx)."""
-    u_target: ArrayLike | None = None
-    """u_o: one control, or one a step; zero unless given. Shape (nu,) | (N, nu)."""
+    x_target: ArrayLike | Timed | None = None
+    """x_o: one state, one a knot, or t -> state; zero unless given. Shape (nx,) | (N + 1, nx)."""
+    u_target: ArrayLike | Timed | None = None
+    """u_o: one control, one a step, or t -> control; zero unless given. Shape (nu,) | (N, nu)."""
 
     def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
         """See `CostTerm.bind`."""
@@ -87,8 +94,8 @@ class State(CostTerm):
 
     weight: ArrayLike
     """A number, a diagonal or a matrix, positive semidefinite. Shape () | (ndx,) | (ndx, ndx)."""
-    target: ArrayLike | None = None
-    """One state, or one a knot, or one for each of the knots that `when` lists; zero unless given.
+    target: ArrayLike | Timed | None = None
+    """One state, one a knot, one for each of the knots that `when` lists, or t -> state; zero unless given.
     Shape (nx,) | (N + 1, nx) | (k, nx)."""
     when: When = "running"
     """Where it acts; see `mjslq.knots.When`."""
@@ -115,9 +122,9 @@ class Control(CostTerm):
     weight: ArrayLike
     """A number, a diagonal or a matrix, positive semidefinite; with the other terms of a problem, all controls have to
     cost something. Shape () | (nu,) | (nu, nu)."""
-    target: ArrayLike = 0.0
-    """One control, or one a step, or one for each of the knots that `when` lists. Shape () | (nu,) | (N, nu) | (k, nu).
-    """
+    target: ArrayLike | Timed = 0.0
+    """One control, one a step, one for each of the knots that `when` lists, or t -> control.
+    Shape () | (nu,) | (N, nu) | (k, nu)."""
     when: When = "running"
     """Where it acts: "running", "initial", or some of the knots 0 ... N-1; see `mjslq.knots.When`."""
     loss: LossName = field(default="quadratic", kw_only=True)
@@ -143,8 +150,8 @@ class Sensor(CostTerm):
 
     name: str
     """The sensor's name."""
-    target: ArrayLike
-    """One reading, or one a knot, or one for each of the knots that `when` lists.
+    target: ArrayLike | Timed
+    """One reading, one a knot, one for each of the knots that `when` lists, or t -> reading.
     Shape () | (m,) | (N + 1, m) | (k, m)."""
     weight: ArrayLike = 1.0
     """A number, a diagonal or a matrix, positive semidefinite. Shape () | (m,) | (m, m); m = 3 for quaternions."""
@@ -164,6 +171,48 @@ class Sensor(CostTerm):
             return residuals.bind_output(dynamics, self.name, self.target, knots)
 
         return _bind(f"Sensor {self.name!r}", self, dynamics.steps(N), make, self.terminal_weight)
+
+
+@dataclass(frozen=True)
+class Frame(CostTerm):
+    """The same of a frame: where a body, site, geom or camera is, how it is turned, how fast it moves or turns.
+
+    The engine reads it by a sensor of the model, or one that was added by `MujocoDynamics.from_path(...,
+    frames=["hand"])`; Pinocchio's by `outputs=("hand", "hand.orientation")`, without velocities. Positions [m] and
+    velocities [m/s, rad/s] are in the world's axes, orientations unit quaternions (w, x, y, z), compared by the
+    rotation vector [rad] between them and the target.
+    """
+
+    name: str
+    """The frame's name."""
+    target: ArrayLike | Timed
+    """One value, one a knot, one for each of the knots that `when` lists, or t -> value.
+    Shape () | (m,) | (N + 1, m) | (k, m); m = 4 for orientations, otherwise 3."""
+    weight: ArrayLike = 1.0
+    """A number, a diagonal or a matrix, positive semidefinite. Shape () | (3,) | (3, 3)."""
+    when: When = "running"
+    """Where it acts; see `mjslq.knots.When`."""
+    of: OfFrame = field(default="position", kw_only=True)
+    """"position", "orientation", "linear-velocity" or "angular-velocity"."""
+    loss: LossName = field(default="quadratic", kw_only=True)
+    """"quadratic", "smooth-abs", "huber" or "pseudo-huber"; see `mjslq.losses`."""
+    width: float | None = field(default=None, kw_only=True)
+    """Width of the other losses, in the residual's unit; 0.1 unless given."""
+    terminal_weight: ArrayLike | None = field(default=None, kw_only=True)
+    """With when="always": the weight of the terminal value; `weight` unless given. Shape as `weight`."""
+
+    def output(self, dynamics: Dynamics) -> str:
+        """Name of the engine's output that reads the frame. Raises ValueError."""
+        return dynamics.frame_output(self.name, choose("quantity of a frame", self.of, QUANTITIES))
+
+    def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
+        """See `CostTerm.bind`."""
+        output = self.output(dynamics)
+
+        def make(knots: Knots) -> residuals.BoundResidual:
+            return residuals.bind_output(dynamics, output, self.target, knots)
+
+        return _bind(f"Frame {self.name!r}, {self.of}", self, dynamics.steps(N), make, self.terminal_weight)
 
 
 @dataclass(frozen=True)
@@ -198,7 +247,7 @@ class Residual(CostTerm):
         function = UserFunction("r", self.r, dynamics.nx, dynamics.nu, self.jacobian, self.parameters)
 
         def make(knots: Knots) -> residuals.BoundResidual:
-            return residuals.bind_function(dynamics, function, knots, dynamics.steps(N))
+            return residuals.FunctionResidual(dynamics, function, knots)
 
         label = f"Residual {getattr(self.r, '__name__', type(self.r).__name__)!r}"
         return _bind(label, self, dynamics.steps(N), make, self.terminal_weight)
@@ -230,14 +279,14 @@ class Function(CostTerm):
         steps = dynamics.steps(N)
         knots = knots_of(self.when, steps)
         function = UserCost("l", self.l, dynamics.nx, dynamics.nu, self.gradient, self.hessian, self.parameters)
-        residual = residuals.bind_function(dynamics, function, knots, steps)
+        residual = residuals.FunctionResidual(dynamics, function, knots)
         label = f"Function {getattr(self.l, '__name__', type(self.l).__name__)!r}, {knots}"
         return (FunctionCost(residual, knots.scales(steps), label),)
 
 
 def _bind(
     kind: str,
-    term: State | Control | Sensor | Residual,
+    term: State | Control | Sensor | Frame | Residual,
     steps: Array,
     make: Callable[[Knots], residuals.BoundResidual],
     terminal_weight: ArrayLike | None = None,

@@ -45,6 +45,8 @@ class Knots:
     """Shape (k,)."""
     N: int
     """Steps of the horizon."""
+    times: Array
+    """Of the knots, after the start of the horizon. Shape (k,). [s]"""
     name: str | None = None
     """"running", "terminal", "always" or "initial"; None where the knots were listed."""
 
@@ -83,25 +85,26 @@ class Knots:
 
 def knots_of(when: When, steps: Array) -> Knots:
     """The knots that `when` names on a horizon of steps of these lengths (N,). [s]  Raises ValueError."""
-    N = len(steps)
+    N, grid = len(steps), np.concatenate([[0.0], np.cumsum(steps)])
     named = {"running": np.arange(N), "terminal": np.array([N]), "always": np.arange(N + 1), "initial": np.array([0])}
     if isinstance(when, str):
-        return Knots(named[choose("when", when, NAMES)].astype(np.int64), N, when)
+        indices = named[choose("when", when, NAMES)].astype(np.int64)
+        return Knots(indices, N, grid[indices], when)
     if isinstance(when, slice):
         try:
             indices = np.arange(N + 1)[when]
         except (TypeError, ValueError) as error:
             raise ValueError(f"when must be {_CHOICES}, got {when!r}: {error}") from None
     else:
-        indices = _listed(when, steps)
+        indices = _listed(when, grid)
     if not len(indices):
         raise ValueError(f"when must pick at least one of the knots 0 to {N}, but {when!r} picks none")
     if (np.diff(indices) <= 0).any():
         raise ValueError(f"when must name knots in ascending order, each of them once, got {_few(indices)}")
-    return Knots(indices.astype(np.int64), N)
+    return Knots(indices.astype(np.int64), N, grid[indices])
 
 
-def _listed(when: Any, steps: Array) -> NDArray[np.int64]:
+def _listed(when: Any, grid: Array) -> NDArray[np.int64]:
     """Indices from one index or time, or from a sequence of them."""
     try:
         given = np.asarray(when)
@@ -109,9 +112,9 @@ def _listed(when: Any, steps: Array) -> NDArray[np.int64]:
         given = np.asarray(None)
     if given.ndim > 1 or given.dtype.kind not in "iuf":
         raise ValueError(f"when must be {_CHOICES}, got {type(when).__name__} {when!r}")
-    given, N = np.atleast_1d(given), len(steps)
+    given, N = np.atleast_1d(given), len(grid) - 1
     if given.dtype.kind == "f":
-        return _at_times(given, np.concatenate([[0.0], np.cumsum(steps)])) if given.size else np.zeros(0, np.int64)
+        return _at_times(given, grid) if given.size else np.zeros(0, np.int64)
     for index in given:
         if not -(N + 1) <= index <= N:
             raise ValueError(f"when names knot {index}, but there are the knots 0 to {N} (or -{N + 1} to -1)")

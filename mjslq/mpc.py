@@ -111,7 +111,9 @@ class MPC:
     Parameters
     ----------
     problem : Problem
-        What to plan, constraints included; its x0 is replaced by each new state, its costs' time by the present one.
+        What to plan, constraints included; its x0 is replaced by each new state, and its horizon begins at the present
+        time: functions of time among its costs, targets and limits see the plant's time, while arrays with a row for
+        each knot move along with the horizon (`Problem.at`).
     method : str
         As in `mjslq.solve`.
     iterations : int

@@ -73,6 +73,8 @@ class Problem:
     """The constraints on this horizon, but for those of the controls alone, which `box` has."""
     free_start: Mask | None = field(init=False, repr=False, default=None)
     """Tangent directions of the initial state that are unknown; None for none. Shape (ndx,)."""
+    t0: float = field(init=False, default=0.0)
+    """Time at which the horizon begins: functions of time in costs and constraints see t0 + t_n; see `at`. [s]"""
     _terms: tuple[BoundTerm, ...] = field(init=False, repr=False, default=())
     _unpenalized: Problem | None = field(init=False, repr=False, default=None)
 
@@ -125,18 +127,25 @@ class Problem:
             store(self, "box", self.box.within(box, self.dynamics.control_names))
 
     def at(self, x0: ArrayLike, t0: float = 0.0) -> Problem:
-        """The same problem from another initial state (nx,), its costs' time shifted by `t0` [s].
+        """The same problem from another initial state (nx,), on a horizon that begins at the time `t0` [s].
 
-        Shares everything that does not depend on these: nothing is bound anew.
+        Functions of time see t0 + t_n: `costs.Residual` and `Function`, `constraints.Path`, and targets and limits that
+        are functions. Arrays with a row for each knot, and `when`, belong to the knots and move along. Shares
+        everything that does not depend on x0 and t0: nothing is bound anew.
+
+        Raises ValueError for a state that is not one, and where a function of time fails at its new times.
         """
-        moved = copy.copy(self)
-        object.__setattr__(moved, "x0", frozen(np.array(self.dynamics.checked_start(x0))))
-        if t0:
-            terms = tuple(term.at(finite("t0", t0)) for term in self._terms)
-            if any(later is not term for later, term in zip(terms, self._terms, strict=True)):
-                object.__setattr__(moved, "_terms", terms)
-                moved.__dict__.pop("_prepared", None)
-            moved = moved.with_constraints(tuple(constraint.at(t0) for constraint in self.bound_constraints))
+        moved, store = copy.copy(self), object.__setattr__
+        store(moved, "x0", frozen(np.array(self.dynamics.checked_start(x0))))
+        if finite("t0", t0) == self.t0:
+            return moved
+        store(moved, "t0", float(t0))
+        terms = tuple(term.at(moved.t0) for term in self._terms)
+        if any(later is not term for later, term in zip(terms, self._terms, strict=True)):
+            store(moved, "_terms", terms)
+            moved.__dict__.pop("_prepared", None)
+        store(moved, "bound_constraints", tuple(c.at(moved.t0) for c in self.bound_constraints))
+        store(moved, "box", self._box_at(moved.t0))
         return moved
 
     def with_constraints(self, constraints: tuple[BoundConstraint, ...]) -> Problem:
@@ -144,6 +153,18 @@ class Problem:
         made = copy.copy(self)
         object.__setattr__(made, "bound_constraints", constraints)
         return made
+
+    def _box_at(self, t0: float) -> Box:
+        """Limits of the controls on a horizon that begins at `t0` [s]."""
+        controls = [c for c in self.constraints if isinstance(c, kinds.Control)]
+        moving = [c.at(t0, self.dynamics, self.horizon) for c in controls]
+        if all(box is None for box in moving):
+            return self.box
+        box = (Bounds() if self.bounds is None else self.bounds).bind(self.dynamics, self.horizon)
+        for control, later in zip(controls, moving, strict=True):
+            own = control.bind(self.dynamics, self.horizon, "") if later is None else later
+            box = box.within(own, self.dynamics.control_names)
+        return box
 
     def start(self, x: Array) -> Array:
         """The initial state with its free entries taken from `x` (nx,). Shape (nx,)."""

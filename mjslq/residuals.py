@@ -32,6 +32,7 @@ from mjslq.dynamics.dynamics import Dynamics, Linearization
 from mjslq.knots import Knots
 from mjslq.quadratic import Expansion, transposed_times
 from mjslq.rotation import conjugate, inverse_right_jacobian, log, product
+from mjslq.targets import Rows, Timed, unit_quaternions
 from mjslq.trajectory import Trajectory
 from mjslq.user_function import UserFunction
 from mjslq.validation import Array, as_array, choose, per_step_vectors
@@ -121,11 +122,28 @@ class BoundResidual(ABC):
         return self
 
 
-class StateResidual(BoundResidual):
+class Targeted(BoundResidual):
+    """A residual with a target at each of its knots."""
+
+    _target: Array
+    """Shape (k, ...)."""
+    _rows: Rows | None
+    """The target as a function of time; None where it belongs to the knots."""
+
+    def at(self, t0: float) -> Targeted:
+        """See `BoundResidual.at`."""
+        if self._rows is None:
+            return self
+        moved = copy.copy(self)
+        moved._target = self._rows(t0)
+        return moved
+
+
+class StateResidual(Targeted):
     """difference(target_n, x_n)."""
 
-    def __init__(self, dynamics: Dynamics, target: Array, knots: Knots) -> None:
-        self.knots, self.size, self._dynamics, self._target = knots, dynamics.ndx, dynamics, target
+    def __init__(self, dynamics: Dynamics, target: Array, knots: Knots, rows: Rows | None = None) -> None:
+        self.knots, self.size, self._dynamics, self._target, self._rows = knots, dynamics.ndx, dynamics, target, rows
         if dynamics.difference_jacobian(target[:1], target[:1]) is None:
             self.constant_jacobian = Jacobian(IDENTITY, None)
 
@@ -150,13 +168,13 @@ class StateResidual(BoundResidual):
             into.q[knot] += weights[n] @ J
 
 
-class ControlResidual(BoundResidual):
+class ControlResidual(Targeted):
     """u_n - target_n."""
 
     constant_jacobian = Jacobian(None, IDENTITY)
 
-    def __init__(self, target: Array, knots: Knots) -> None:
-        self.knots, self.size, self._target = knots, target.shape[1], target
+    def __init__(self, target: Array, knots: Knots, rows: Rows | None = None) -> None:
+        self.knots, self.size, self._target, self._rows = knots, target.shape[1], target, rows
 
     def value(self, trajectory: Trajectory) -> Array:
         """See `BoundResidual.value`."""
@@ -172,13 +190,13 @@ class ControlResidual(BoundResidual):
         into.r[self.knots.at_steps] += weights
 
 
-class OutputResidual(BoundResidual):
+class OutputResidual(Targeted):
     """y_n[columns] - target_n."""
 
     curved = True
 
-    def __init__(self, columns: slice, target: Array, knots: Knots) -> None:
-        self.knots, self.size, self._columns, self._target = knots, target.shape[1], columns, target
+    def __init__(self, columns: slice, target: Array, knots: Knots, rows: Rows | None = None) -> None:
+        self.knots, self.size, self._columns, self._target, self._rows = knots, target.shape[1], columns, target, rows
 
     def value(self, trajectory: Trajectory) -> Array:
         """See `BoundResidual.value`."""
@@ -211,8 +229,8 @@ class OrientationResidual(OutputResidual):
 
     curved = False
 
-    def __init__(self, columns: slice, target: Array, knots: Knots) -> None:
-        super().__init__(columns, target, knots)
+    def __init__(self, columns: slice, target: Array, knots: Knots, rows: Rows | None = None) -> None:
+        super().__init__(columns, target, knots, rows)
         self.size = 3
 
     def value(self, trajectory: Trajectory) -> Array:
@@ -244,9 +262,9 @@ class FunctionResidual(BoundResidual):
 
     curved = True
 
-    def __init__(self, dynamics: Dynamics, function: UserFunction, knots: Knots, grid: Array) -> None:
+    def __init__(self, dynamics: Dynamics, function: UserFunction, knots: Knots) -> None:
         self.knots, self.size, self._dynamics, self._function = knots, function.size, dynamics, function
-        self._grid = self._times = grid
+        self._times = knots.times
 
     def value(self, trajectory: Trajectory) -> Array:
         """See `BoundResidual.value`."""
@@ -298,7 +316,7 @@ class FunctionResidual(BoundResidual):
     def at(self, t0: float) -> FunctionResidual:
         """See `BoundResidual.at`."""
         moved = copy.copy(self)
-        moved._times = self._grid + t0
+        moved._times = self.knots.times + t0
         return moved
 
     def _points(self, trajectory: Trajectory) -> Array:
@@ -316,57 +334,61 @@ class FunctionResidual(BoundResidual):
         return np.stack([basis for basis in bases if basis is not None])
 
 
-def bind_state(dynamics: Dynamics, target: ArrayLike | None, knots: Knots, name: str = "target") -> StateResidual:
-    """Distance of states from `target`: a state, one a knot, or one for each of listed knots; zero if None.
+def bind_state(
+    dynamics: Dynamics, target: ArrayLike | Timed | None, knots: Knots, name: str = "target"
+) -> StateResidual:
+    """Distance of states from `target`: a state, one a knot, one for each of listed knots, or t -> state; zero if None.
 
     Raises ValueError, which calls the target `name`.
     """
+    size, all_knots = dynamics.nx, knots.N + 1
+    if callable(target):
+        rows = Rows(name, target, knots.times, size)
+        return StateResidual(dynamics, rows(), knots, rows)
     if target is None:
         if dynamics.nx != dynamics.ndx:
             raise ValueError(f"{name} must be given: a state with quaternions has no zero to default to")
         target = np.zeros(dynamics.nx)
-    array, size, all_knots = as_array(name, target), dynamics.nx, knots.N + 1
-    rows = _rows(array, knots, all_knots)
-    if array.shape not in ((size,), (rows, size)):
+    array = as_array(name, target)
+    count = _count(array, knots, all_knots)
+    if array.shape not in ((size,), (count, size)):
         raise ValueError(
             f"{name} must be a state ({size},) or one a knot ({all_knots}, {size}), got shape {array.shape}"
         )
-    return StateResidual(dynamics, _at_knots(np.broadcast_to(array, (rows, size)), knots.at, len(knots)), knots)
+    return StateResidual(dynamics, _at_knots(np.broadcast_to(array, (count, size)), knots.at, len(knots)), knots)
 
 
-def bind_control(dynamics: Dynamics, target: ArrayLike, knots: Knots, name: str = "target") -> ControlResidual:
-    """Distance of controls from `target`: a number, a control, one a step, or one for each of listed knots."""
+def bind_control(dynamics: Dynamics, target: ArrayLike | Timed, knots: Knots, name: str = "target") -> ControlResidual:
+    """Distance of controls from `target`: a number, a control, one a step, one for each listed knot, or t -> u."""
     if len(knots.steps) < len(knots):
         raise ValueError(
             f"when must name steps for controls, 0 to {knots.N - 1}: at the terminal knot {knots.N} there is none"
         )
-    array = as_array(name, target)
-    targets = per_step_vectors(name, array, _rows(array, knots, knots.N), dynamics.nu)
-    return ControlResidual(_at_knots(targets, knots.at, len(knots)), knots)
+    return ControlResidual(*_vectors(name, target, knots, knots.N, dynamics.nu))
 
 
 def bind_output(
-    dynamics: Dynamics, output: str, target: ArrayLike, knots: Knots, name: str = "target"
+    dynamics: Dynamics, output: str, target: ArrayLike | Timed, knots: Knots, name: str = "target"
 ) -> OutputResidual:
-    """Distance of the readings of `output` from `target`: one reading, one a knot, or one for each of listed knots."""
+    """Distance of readings from `target`: one, one a knot, one for each of listed knots, or t -> reading."""
     columns, quaternion = dynamics.outputs[choose("sensor", output, dynamics.outputs)]
-    array = as_array(name, target)
-    targets = per_step_vectors(name, array, _rows(array, knots, knots.N + 1), columns.stop - columns.start)
-    if quaternion:
-        length = np.linalg.norm(targets, axis=1, keepdims=True)
-        if (length < 1e-9).any():
-            raise ValueError(f"{name} of the orientation {output!r} must be a quaternion, not zeros")
-        targets = targets / length
     kind = OrientationResidual if quaternion else OutputResidual
-    return kind(columns, _at_knots(targets, knots.at, len(knots)), knots)
+    return kind(columns, *_vectors(name, target, knots, knots.N + 1, columns.stop - columns.start, quaternion))
 
 
-def bind_function(dynamics: Dynamics, function: UserFunction, knots: Knots, steps: Array) -> FunctionResidual:
-    """A user's function at knots of a horizon of steps of these lengths (N,). [s]"""
-    return FunctionResidual(dynamics, function, knots, np.concatenate([[0.0], np.cumsum(steps)])[knots.at])
+def _vectors(
+    name: str, target: ArrayLike | Timed, knots: Knots, every: int, size: int, unit: bool = False
+) -> tuple[Array, Knots, Rows | None]:
+    """A target at each of the knots (k, size), those knots, and the function of time that it comes from."""
+    if callable(target):
+        rows = Rows(name, target, knots.times, size, unit)
+        return rows(), knots, rows
+    array = as_array(name, target)
+    targets = per_step_vectors(name, array, _count(array, knots, every), size)
+    return _at_knots(unit_quaternions(name, targets) if unit else targets, knots.at, len(knots)), knots, None
 
 
-def _rows(target: Array, knots: Knots, every: int) -> int:
+def _count(target: Array, knots: Knots, every: int) -> int:
     """How many rows a target with one a knot has: one for `every` knot, or one for each of the knots listed."""
     listed = knots.name is None and target.ndim == 2 and len(target) == len(knots)
     return len(knots) if listed else every

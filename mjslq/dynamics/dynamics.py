@@ -104,6 +104,10 @@ class Dynamics(ABC):
             found[owner] = Output(slice(start, i + 1))
         return found
 
+    def frame_output(self, frame: str, of: str) -> str:
+        """Name of the output that reads a quantity (`QUANTITIES`) of a frame; raises ValueError where there is none."""
+        raise ValueError(f"{type(self).__name__} has no frames; use costs.Sensor or costs.Residual")
+
     @property
     def initial_control(self) -> Array:
         """Controls that a problem starts from unless told otherwise: those of an engine at rest. Shape (nu,)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -11,8 +11,16 @@ from mjslq.validation import Array
 
 Sides = np.ndarray[Any, np.dtype[np.int8]]
 """Where controls are: `mjslq.lq.adjoint.FREE`, LOWER, UPPER or FIXED. Shape (N, nu)."""
+OfFrame = Literal["position", "orientation", "linear-velocity", "angular-velocity"]
+"""What can be read of a frame."""
+QUANTITIES: tuple[OfFrame, ...] = ("position", "orientation", "linear-velocity", "angular-velocity")
 SLICE = 16
 """Steps at least whose Jacobians are made at a time where memory has to stay small."""
+
+
+def frame_sensor(frame: str, of: str) -> str:
+    """Name of the sensor that is added to a model to read a frame."""
+    return f"{frame}.{of}"
 
 
 class Linearization(NamedTuple):

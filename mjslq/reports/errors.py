@@ -1,7 +1,8 @@
 """How far sensors are from what the cost wants of them, in their own units: what a summary says of a task.
 
 A term that acts at one knot is told by the distance there; one that acts along the way by its largest distance and the
-one at its last knot. Quaternions count by the angle between them and the target.
+one at its last knot. Quaternions count by the angle between them and the target. Many frames, such as those of a clip,
+are told together, a line for positions, one for orientations, and so on.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from mjslq.costs import Sensor
+from mjslq.costs import Frame, Sensor
 from mjslq.dynamics.dynamics import Dynamics
+from mjslq.dynamics.records import frame_sensor
 from mjslq.knots import knots_of
 from mjslq.problem import Problem
 from mjslq.residuals import bind_output
@@ -32,6 +34,8 @@ _UNITS = {
 """Kinds of MuJoCo's sensors, mjSENS_..., by the unit of what they read."""
 _BY_JOINT = {"JOINTPOS": ("rad", "m"), "JOINTVEL": ("rad/s", "m/s"), "JOINTACTFRC": ("Nm", "N")}
 """Units by hinge and slide."""
+FEW = 4
+"""Frames that are told one by one."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,9 @@ class TaskError:
     """At the last of the knots."""
     knots: int
     """How many there are."""
+    mean: float
+    of: str = ""
+    """What is read of a frame; empty for sensors."""
 
     def __str__(self) -> str:
         """In a few words."""
@@ -54,23 +61,45 @@ class TaskError:
 
 
 def task_errors(problem: Problem, trajectory: Trajectory) -> list[TaskError]:
-    """The distance of each sensor that the cost names from its target, the last term of a sensor counting."""
+    """The distance of each sensor or frame that the cost names from its target, the last term of each counting."""
     found: dict[str, TaskError] = {}
     for term in problem.costs:
-        if isinstance(term, Sensor) and not trajectory.diverged:
+        if isinstance(term, (Sensor, Frame)) and not trajectory.diverged:
+            of = term.of if isinstance(term, Frame) else ""
+            name = frame_sensor(term.name, of) if isinstance(term, Frame) else term.name
+            output = term.output(problem.dynamics) if isinstance(term, Frame) else term.name
             knots = knots_of(term.when, problem.dynamics.steps(problem.horizon))
-            residual = bind_output(problem.dynamics, term.name, term.target, knots)
+            residual = bind_output(problem.dynamics, output, term.target, knots).at(problem.t0)
             away: Array = np.linalg.norm(residual.value(trajectory), axis=1)
-            unit = sensor_unit(problem.dynamics, term.name)
-            found[term.name] = TaskError(term.name, unit, float(away.max()), float(away[-1]), len(away))
+            unit, last = sensor_unit(problem.dynamics, output), float(away[-1])
+            found[name] = TaskError(name, unit, float(away.max()), last, len(away), float(away.mean()), of)
     return list(found.values())
+
+
+def lines(errors: list[TaskError]) -> dict[str, str]:
+    """A line for each sensor, and for each quantity of more than a few frames. Name -> text."""
+    told: dict[str, str] = {}
+    for error in errors:
+        alike = [other for other in errors if other.of and other.of == error.of]
+        if len(alike) <= FEW:
+            told[error.sensor] = str(error)
+            continue
+        worst = max(alike, key=lambda one: one.largest)
+        mean = sum(one.mean for one in alike) / len(alike)
+        told[f"{len(alike)} frames, {error.of}"] = (
+            f"{_shown(mean, error.unit)} off on average, {_shown(worst.largest, error.unit)} at most "
+            f"({worst.sensor.removesuffix(frame_sensor('', error.of))})"
+        )
+    return told
 
 
 def sensor_unit(dynamics: Dynamics, name: str) -> str:
     """Unit of the distance between readings of a sensor; empty where it is not known."""
     model: Any = getattr(dynamics, "model", None)
     if not hasattr(model, "sensor_type"):
-        return "m" if hasattr(model, "frames") else ""  # Pinocchio's outputs are places of frames
+        if not hasattr(model, "frames"):
+            return ""
+        return "rad" if dynamics.outputs[name].quaternion else "m"  # Pinocchio's outputs
     import mujoco
 
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name) < 0:

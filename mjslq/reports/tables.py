@@ -11,8 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mjslq.problem import Problem
-from mjslq.reports import in_force
-from mjslq.reports.errors import task_errors
+from mjslq.reports import errors, in_force
 from mjslq.reports.limits import at_limits, describe
 from mjslq.result import Result
 
@@ -77,8 +76,8 @@ def print_summary(result: Result, problem: Problem) -> None:
         lines.add_row("constraints", constraints)
     if touching := contacts(result):
         lines.add_row("contact", touching)
-    for error in task_errors(problem, result.trajectory):
-        lines.add_row(error.sensor, str(error))
+    for name, text in errors.lines(errors.task_errors(problem, result.trajectory)).items():
+        lines.add_row(name, text)
     if problem.describe is not None and not result.trajectory.diverged:
         for name, text in problem.describe(result.trajectory).items():
             lines.add_row(name, text)

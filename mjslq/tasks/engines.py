@@ -10,10 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from mjslq.clips import following
+from mjslq.dynamics.records import frame_sensor
+from mjslq.tasks.clips import Clips, tracked
 from mjslq.tasks.reading import Source, TaskError
-from mjslq.tasks.schema import DistanceConstraint, Engine, FrameConstraint, FrameCost, TaskFile
+from mjslq.tasks.schema import ClipCost, DistanceConstraint, Engine, FrameConstraint, FrameCost, TaskFile
 from mjslq.validation import choose
 
 if TYPE_CHECKING:
@@ -33,18 +37,15 @@ _PINOCCHIO = {"position": "", "orientation": ".orientation"}
 """What Pinocchio's engine calls the outputs of a frame."""
 
 
-def frame_sensor(name: str, of: str) -> str:
-    """Name of the sensor that reads a frame, where the model has none of its own for it."""
-    return f"{name}.{of}"
-
-
 def distance_sensor(first: str, second: str) -> str:
     """Name of the sensor that reads the distance of two geoms or bodies."""
     return f"{first} to {second}"
 
 
-def make(task: TaskFile, folder: Path, source: Source) -> MujocoDynamics | PinocchioDynamics:
-    """Make the engine of a task file in `folder`. Raises `TaskError`."""
+def make(
+    task: TaskFile, folder: Path, source: Source, clips: Clips = MappingProxyType({})
+) -> MujocoDynamics | PinocchioDynamics:
+    """Make the engine of a task file in `folder`, whose clips are read. Raises `TaskError`."""
     engine = task.engine
     for kind, keys in _ONLY.items():
         for key in keys:
@@ -53,8 +54,8 @@ def make(task: TaskFile, folder: Path, source: Source) -> MujocoDynamics | Pinoc
     with source.at("model"):
         file = _file_of(task.model, folder)
     if engine.kind == "pinocchio":
-        return _pinocchio(task, file, folder, source)
-    return _mujoco(task, file, folder, source)
+        return _pinocchio(task, file, clips, source)
+    return _mujoco(task, file, folder, clips, source)
 
 
 def names_a_file(model: str) -> bool:
@@ -93,10 +94,13 @@ def _menagerie(name: str) -> Path:
         raise ValueError(f"{name!r} could not be fetched: {' '.join(str(error).split())}") from None
 
 
-def _mujoco(task: TaskFile, file: Path, folder: Path, source: Source) -> MujocoDynamics | PinocchioDynamics:
+def _mujoco(
+    task: TaskFile, file: Path, folder: Path, clips: Clips, source: Source
+) -> MujocoDynamics | PinocchioDynamics:
     import mujoco
 
     from mjslq.dynamics.mujoco import MujocoDynamics
+    from mjslq.dynamics.mujoco.frames import add_frame_sensor
 
     engine = task.engine
     names = ("timestep", "substeps", "integrator", "jacobian", "threads")
@@ -105,12 +109,12 @@ def _mujoco(task: TaskFile, file: Path, folder: Path, source: Source) -> MujocoD
     with source.at("model"):
         spec = _spec(engine, file, folder, source)
     if isinstance(spec, mujoco.MjModel):
-        _refuse_frames(task, source)
+        _refuse_frames(task, clips, source)
         with source.at("engine"):
             return MujocoDynamics.from_model(spec, **options)
-    for place, wanted in _frames(task):
+    for place, _, frame, of in _frames(task, clips, source):
         with source.at(*place):
-            _add_frame(spec, wanted)
+            add_frame_sensor(spec, frame, of)
     for i, constraint in enumerate(task.constraints):
         if isinstance(constraint, DistanceConstraint):
             with source.at("constraints", i, "between"):
@@ -142,14 +146,14 @@ def _spec(engine: Engine, file: Path, folder: Path, source: Source) -> mujoco.Mj
     )
 
 
-def _pinocchio(task: TaskFile, file: Path, folder: Path, source: Source) -> MujocoDynamics | PinocchioDynamics:
+def _pinocchio(task: TaskFile, file: Path, clips: Clips, source: Source) -> MujocoDynamics | PinocchioDynamics:
     from mjslq.dynamics.pinocchio import PinocchioDynamics
 
     engine, outputs = task.engine, []
-    for place, wanted in _frames(task):
-        with source.at(*place, "of"):
-            choose("output of a frame of Pinocchio", wanted.of, _PINOCCHIO)
-        outputs.append(_frame_of(wanted) + _PINOCCHIO[wanted.of])
+    for place, key, frame, of in _frames(task, clips, source):
+        with source.at(*place, key):
+            choose("output of a frame of Pinocchio", of, _PINOCCHIO)
+        outputs.append(frame + _PINOCCHIO[of])
     for i, constraint in enumerate(task.constraints):
         if isinstance(constraint, DistanceConstraint):
             raise TaskError(source.sentence(("constraints", i), "distances need kind = 'mujoco' in [engine]"))
@@ -163,14 +167,18 @@ def _pinocchio(task: TaskFile, file: Path, folder: Path, source: Source) -> Mujo
         )
 
 
-def _frames(task: TaskFile) -> Iterator[tuple[tuple[str | int, ...], FrameCost | FrameConstraint]]:
-    """Frames that the task names, and where."""
+def _frames(task: TaskFile, clips: Clips, source: Source) -> Iterator[tuple[tuple[str | int, ...], str, str, str]]:
+    """Where the task names frames, the key that says what to read of them, the frame, and that. Raises `TaskError`."""
     for i, cost in enumerate(task.costs):
         if isinstance(cost, FrameCost):
-            yield ("costs", i), cost
+            yield ("costs", i), "of", cost.name, cost.of
+        elif isinstance(cost, ClipCost):
+            with source.at("costs", i):
+                wanted = following.tracked(tracked(cost, clips), cost.weights)
+            yield from ((("costs", i), "weights", frame, of) for frame, of, _ in wanted)
     for i, constraint in enumerate(task.constraints):
         if isinstance(constraint, FrameConstraint):
-            yield ("constraints", i), constraint
+            yield ("constraints", i), "of", constraint.frame, constraint.of
 
 
 def _frame_of(wanted: FrameCost | FrameConstraint) -> str:
@@ -184,39 +192,15 @@ def output_of(task: TaskFile, wanted: FrameCost | FrameConstraint) -> str:
     return frame_sensor(_frame_of(wanted), wanted.of)
 
 
-def _refuse_frames(task: TaskFile, source: Source) -> None:
+def _refuse_frames(task: TaskFile, clips: Clips, source: Source) -> None:
     """Refuse frames and distances of binary models, to which no sensor can be added."""
-    for place, _ in _frames(task):
+    for place, _, _, _ in _frames(task, clips, source):
         raise TaskError(
             source.sentence(place, f"{task.model} is binary, so that it takes no further sensors; name one")
         )
     for i, constraint in enumerate(task.constraints):
         if isinstance(constraint, DistanceConstraint):
             raise TaskError(source.sentence(("constraints", i), f"{task.model} is binary and takes no further sensors"))
-
-
-def _add_frame(spec: mujoco.MjSpec, wanted: FrameCost | FrameConstraint) -> None:
-    """Add a sensor that reads a frame, unless it is there."""
-    import mujoco
-
-    kinds = {
-        "position": mujoco.mjtSensor.mjSENS_FRAMEPOS,
-        "orientation": mujoco.mjtSensor.mjSENS_FRAMEQUAT,
-        "linear-velocity": mujoco.mjtSensor.mjSENS_FRAMELINVEL,
-        "angular-velocity": mujoco.mjtSensor.mjSENS_FRAMEANGVEL,
-    }
-    name, frame = frame_sensor(_frame_of(wanted), wanted.of), _frame_of(wanted)
-    if spec.sensor(name) is not None:
-        return
-    objects = {
-        mujoco.mjtObj.mjOBJ_SITE: [site.name for site in spec.sites],
-        mujoco.mjtObj.mjOBJ_XBODY: [body.name for body in spec.bodies if body.name != "world"],
-        mujoco.mjtObj.mjOBJ_GEOM: [geom.name for geom in spec.geoms],
-        mujoco.mjtObj.mjOBJ_CAMERA: [camera.name for camera in spec.cameras],
-    }
-    choose("site, body, geom or camera", frame, dict.fromkeys(n for names in objects.values() for n in names if n))
-    kind = next(kind for kind, names in objects.items() if frame in names)
-    spec.add_sensor(name=name, type=kinds[wanted.of], objtype=kind, objname=frame)
 
 
 def _add_distance(spec: mujoco.MjSpec, constraint: DistanceConstraint) -> None:

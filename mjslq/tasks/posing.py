@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -17,11 +17,13 @@ from mjslq.costs import CostTerm
 from mjslq.knots import TIME_TOLERANCE, When
 from mjslq.problem import Problem
 from mjslq.tasks import schema
+from mjslq.tasks.clips import Clips, tracked
 from mjslq.tasks.engines import distance_sensor, output_of
 from mjslq.tasks.reading import Source, TaskError
 from mjslq.validation import Array, choose
 
 if TYPE_CHECKING:
+    from mjslq.clips import Clip
     from mjslq.dynamics.mujoco import MujocoDynamics
     from mjslq.dynamics.pinocchio import PinocchioDynamics
 
@@ -36,12 +38,15 @@ class Poser:
     task: schema.TaskFile
     dynamics: MujocoDynamics | PinocchioDynamics
     source: Source
+    clips: Clips = field(default_factory=dict)
 
     def problem(self) -> Problem:
         """The problem. Raises `TaskError`."""
         x0 = self._x0()
         N = self.horizon
-        terms = [self._at(("costs", i), self._cost, cost, x0) for i, cost in enumerate(self.task.costs)]
+        by_table = [self._at(("costs", i), self._costs, cost, x0) for i, cost in enumerate(self.task.costs)]
+        terms = [term for found in by_table for term in found]
+        tables = [i for i, found in enumerate(by_table) for _ in found]
         held = [self._at(("constraints", i), self._constraint, c) for i, c in enumerate(self.task.constraints)]
         with self.source.at("bounds", "u"):
             bounds = self._bounds()
@@ -53,23 +58,28 @@ class Poser:
         except TaskError:
             raise
         except ValueError as error:
-            raise TaskError(self._placed(str(error))) from None
+            raise TaskError(self._placed(str(error), tables)) from None
         return problem
 
     def guess(self, problem: Problem) -> Array | None:
-        """Controls to start from, where these depend on the problem. Shape (N, nu)."""
+        """Controls (N, nu) or states (N + 1, nx) to start from, where these depend on the problem."""
+        if self.task.start.controls == "clip":
+            with self.source.at("start", "controls"):
+                clip, timing = self._starting_clip()
+                return clip.guess(problem, *timing)
         return starts.hold(problem) if self.task.start.controls == "hold" else None
 
     def _at(self, place: tuple[str | int, ...], make: Any, *given: Any) -> Any:
         with self.source.at(*place):
             return make(*given)
 
-    def _placed(self, sentence: str) -> str:
-        """A complaint of `Problem`'s, with the line of the table that it is about."""
+    def _placed(self, sentence: str, tables: Sequence[int]) -> str:
+        """A complaint of `Problem`'s, with the line of the table that it is about, for the table of each cost term."""
         match = _LIST.match(sentence)
         if match is None:
             return f"{self.source.name}: {sentence}"
-        return self.source.sentence((match[1], int(match[2])), match[3])
+        i = int(match[2])
+        return self.source.sentence((match[1], tables[i] if match[1] == "costs" else i), match[3])
 
     @cached_property
     def horizon(self) -> int:
@@ -95,7 +105,22 @@ class Poser:
                     x0[self._entry(name, ending)] = value
         return x0
 
+    def _starting_clip(self) -> tuple[Clip, tuple[Any, ...]]:
+        """The clip of the start, and its offset, stretch and what is beyond: those of its first cost."""
+        file = self.task.start.clip
+        if file is None:
+            raise ValueError("is 'clip', but start has no clip")
+        followed = [cost for cost in self.task.costs if isinstance(cost, schema.ClipCost) and cost.file == file]
+        timing = [(cost.offset, cost.stretch, cost.beyond) for cost in followed]
+        return self.clips[file], timing[0] if timing else ()
+
     def _resting(self) -> Array:
+        if self.task.start.clip is not None:
+            with self.source.at("start", "clip"):
+                if self.task.start.keyframe is not None:
+                    raise ValueError("start has a keyframe, too; give one of them")
+                clip, timing = self._starting_clip()
+                return clip.states(self.dynamics, 0.0, *timing)
         if (name := self.task.start.keyframe) is not None:
             with self.source.at("start", "keyframe"):
                 return np.array(self._keyframes("keyframe")(name))
@@ -146,7 +171,16 @@ class Poser:
         dof = names[nq : nq + nv].index(choose("joint with one axis", joint, self._joints) + ".vel")
         return (names.index(joint), dof) if of == "position" else (nq + dof, nv + dof)
 
-    def _cost(self, cost: schema.Cost, x0: Array) -> CostTerm:
+    def _costs(self, cost: schema.Cost, x0: Array) -> list[CostTerm]:
+        """The terms of a table: several for a clip."""
+        if not isinstance(cost, schema.ClipCost):
+            return [self._cost(cost, x0)]
+        return list(tracked(cost, self.clips).costs(
+            self.dynamics, cost.weights, loss=cost.loss, width=cost.width, when=self._when(cost.when),
+            offset=cost.offset, stretch=cost.stretch, beyond=cost.beyond,
+        ))  # fmt: skip
+
+    def _cost(self, cost: schema.OneCost, x0: Array) -> CostTerm:
         loss: dict[str, Any] = {"loss": cost.loss, "width": cost.width}
         when = self._when(cost.when)
         if isinstance(cost, schema.ControlCost):

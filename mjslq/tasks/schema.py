@@ -20,6 +20,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from mjslq.dynamics.records import OfFrame
 from mjslq.losses import LossName
 
 
@@ -63,7 +64,6 @@ When = Annotated[
     Says('"running", "terminal", "always", "initial", a knot, a time, a list of either, or a window { from = , to = }'),
 ]
 Of = Literal["position", "velocity"]
-OfFrame = Literal["position", "orientation", "linear-velocity", "angular-velocity"]
 
 
 class Engine(Table):
@@ -93,11 +93,17 @@ class Start(Table):
     """Where the motion begins, and the first controls."""
 
     keyframe: Text | None = Field(default=None, description="A keyframe of the model.")
+    clip: Text | None = Field(
+        default=None, description="A .csv or .npz file with joint positions, in which the motion begins."
+    )
     positions: Names | None = Field(default=None, description="Entries of the state that differ, by name.")
     velocities: Names | None = Field(default=None, description="Velocities by joint name. [rad/s or m/s]")
     controls: Annotated[
-        Literal["zero", "hold", "keyframe"] | list[float],
-        Says('"zero", "hold" (which balances the start), "keyframe" or a list with a number for each control'),
+        Literal["zero", "hold", "keyframe", "clip"] | list[float],
+        Says(
+            '"zero", "hold" (which balances the start), "keyframe", "clip" (the states of the start\'s clip) or a list '
+            "with a number for each control"
+        ),
     ] = "zero"
 
 
@@ -169,6 +175,29 @@ class FrameCost(SensorCost):
     of: OfFrame = "position"
 
 
+class ClipCost(Table):
+    """Distance of frames from those of a recorded motion; see `mjslq.Clip.costs`."""
+
+    kind: Literal["clip"]
+    file: Text = Field(description="A .csv or .npz file; see mjslq.clips.files.")
+    weights: Annotated[dict[str, float], Says("a table of numbers by quantity of frames")] | None = Field(
+        default=None, description="Of position, orientation, linear-velocity, angular-velocity; 100, 10, 1 and 0.1."
+    )
+    names: Annotated[dict[str, Text], Says("a table of the model's names by those of the clip")] | None = Field(
+        default=None, description="Frames to track, name in the clip = name in the model; all unless given."
+    )
+    loss: Annotated[LossName | dict[str, LossName], Says("a loss or a table of losses by quantity of frames")] = (
+        "pseudo-huber"
+    )
+    width: (
+        Annotated[Positive | dict[str, float], Says("a number above 0 or a table of such by quantity of frames")] | None
+    ) = Field(default=None, description="Width of the losses other than quadratic.")
+    when: When = "always"
+    offset: float = Field(default=0.0, description="Time after the clip's beginning at which the horizon begins. [s]")
+    stretch: Positive = Field(default=1.0, description="How much longer the motion takes than the recording.")
+    beyond: Annotated[Literal["hold", "refuse"], Says('"hold" or "refuse"')] = "hold"
+
+
 class ControlConstraint(Table):
     """Limits of the controls beside those of the model."""
 
@@ -224,9 +253,9 @@ class DistanceConstraint(Table):
     name: Text | None = None
 
 
-Cost = Annotated[
-    ControlCost | StateCost | JointsCost | VelocitiesCost | SensorCost | FrameCost, Field(discriminator="kind")
-]
+OneCost = ControlCost | StateCost | JointsCost | VelocitiesCost | SensorCost | FrameCost
+"""Tables that are a term of the cost each."""
+Cost = Annotated[OneCost | ClipCost, Field(discriminator="kind")]
 Constraint = Annotated[
     ControlConstraint | JointsConstraint | SensorConstraint | FrameConstraint | DistanceConstraint,
     Field(discriminator="kind"),

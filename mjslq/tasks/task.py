@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjslq.tasks import engines
+from mjslq.tasks.clips import read as read_clips
 from mjslq.tasks.posing import Poser
 from mjslq.tasks.reading import Source, TaskError, read
 from mjslq.tasks.schema import TaskFile
@@ -34,7 +35,7 @@ class Task:
     options: dict[str, Any]
     """Options of the method."""
     guess: Array | None
-    """Controls to start from; the problem's own start if None. Shape (N, nu)."""
+    """Controls (N, nu) or states (N + 1, nx) to start from; the problem's own start if None."""
 
     def solve(self, method: str | None = None, **options: Any) -> Result:
         """Solve it; `method` and `options`, as `mjslq.solve` takes them, go before those of the file."""
@@ -52,11 +53,13 @@ def load_task(path: str | Path) -> Task:
         In one sentence with the line and the key, for what does not fit the file, the model or the method.
     """
     file, source = read(path)
-    dynamics = engines.make(file, Path(path).expanduser().absolute().parent, source)
+    folder = Path(path).expanduser().absolute().parent
+    clips = read_clips(file, folder, source)
+    dynamics = engines.make(file, folder, source, clips)
     if dynamics.nu == 0:
         raise TaskError(source.sentence(("model",), f"{file.model} has no actuators, so there is nothing to optimize"))
     options = _options(file, source)
-    poser = Poser(file, dynamics, source)
+    poser = Poser(file, dynamics, source, clips)
     problem = poser.problem()
     return Task(problem, file.solve.method, options, poser.guess(problem))
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 if TYPE_CHECKING:
     import mujoco
 
+    from mjslq.dynamics.mujoco.frames import Wanted
     from mjslq.dynamics.mujoco.meshes import Packages
 
 
@@ -27,9 +28,10 @@ class Constructors:
         jacobian: str = "auto",
         threads: int | None = None,
         packages: Packages = None,
+        frames: Wanted = None,
         **options: Any,
     ) -> Self:
-        """Read an MJCF (.xml), URDF (.urdf) or binary (.mjb) file; see the class for the options.
+        """Read an MJCF (.xml), URDF (.urdf) or binary (.mjb) file; see the class for the options, and for `frames`.
 
         A URDF has no actuators: each joint gets a motor. `mjslq.robots.robot_spec` gives more say over that,
         and a floating base. Its meshes at package://name/... are looked for in `packages` (a folder that holds
@@ -40,7 +42,7 @@ class Constructors:
         from mjslq.dynamics.mujoco.names import model_name
 
         check_kind("from_path", path)
-        model = load_model(path, packages)
+        model = load_model(path, packages, frames)
         options.setdefault("name", model_name(model) or Path(path).stem)
         return cls(model, timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options)
 
@@ -52,14 +54,14 @@ class Constructors:
         substeps: int = 1,
         jacobian: str = "auto",
         threads: int | None = None,
+        frames: Wanted = None,
         **options: Any,
     ) -> Self:
-        """Compile MJCF text; see the class for the options."""
+        """Compile MJCF text; see the class for the options, and for `frames`."""
         from mjslq.dynamics.mujoco.files import model_of_text
 
-        return cls(
-            model_of_text(text), timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options
-        )
+        model = model_of_text(text, frames)
+        return cls(model, timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options)
 
     @classmethod
     def from_spec(
@@ -69,15 +71,17 @@ class Constructors:
         substeps: int = 1,
         jacobian: str = "auto",
         threads: int | None = None,
+        frames: Wanted = None,
         **options: Any,
     ) -> Self:
-        """Compile a copy of an `MjSpec`; see the class for the options."""
+        """Compile a copy of an `MjSpec`; see the class for the options, and for `frames`."""
         from mjslq.dynamics.mujoco.files import check_kind, compiled
+        from mjslq.dynamics.mujoco.frames import add_frames
 
         check_kind("from_spec", spec)
-        return cls(
-            compiled(spec.copy()), timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options
-        )
+        spec = spec.copy()
+        add_frames(spec, frames)
+        return cls(compiled(spec), timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options)
 
     @classmethod
     def from_model(
@@ -93,4 +97,6 @@ class Constructors:
         from mjslq.dynamics.mujoco.files import check_kind
 
         check_kind("from_model", model)
+        if options.pop("frames", None) is not None:
+            raise ValueError("a compiled model takes no sensors; frames is for from_path, from_xml and from_spec")
         return cls(model, timestep=timestep, substeps=substeps, jacobian=jacobian, threads=threads, **options)

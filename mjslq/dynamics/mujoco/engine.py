@@ -79,6 +79,13 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
     foresight
         Distance from which on bodies feel each other in derivatives, and in these alone; see `contacts`. [m]
 
+    All but `from_model` also take
+
+    frames
+        Sites, bodies, geoms or cameras to add sensors for, which `costs.Frame` and `constraints.Frame` find: a list of
+        names for position, orientation and both velocities of each, or a mapping from names to some of these
+        ("position", "orientation", "linear-velocity", "angular-velocity"). Models need no sensors of their own.
+
     They raise ValueError when the model cannot be read, or is not supported.
     """
 
@@ -153,6 +160,12 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
         from mjslq.dynamics.mujoco import names
 
         return names.outputs(self.model)
+
+    def frame_output(self, frame: str, of: str) -> str:
+        """See `Dynamics.frame_output`."""
+        from mjslq.dynamics.mujoco.frames import frame_output
+
+        return frame_output(self.model, frame, of)
 
     def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None = None) -> list[Trajectory]:
         """Simulate several times, on several threads; see `Dynamics.rollouts`."""

@@ -25,6 +25,7 @@ import mujoco
 import numpy as np
 
 from mjslq.dynamics.mujoco.checks import refuse_callbacks
+from mjslq.dynamics.mujoco.frames import Wanted, add_frames
 from mjslq.dynamics.mujoco.library import quiet
 from mjslq.dynamics.mujoco.meshes import Packages, resolve_meshes
 
@@ -48,17 +49,21 @@ _LEAST_MOVED = 1e-10
 _TENSOR = ((0, 0, "ixx"), (1, 1, "iyy"), (2, 2, "izz"), (0, 1, "ixy"), (0, 2, "ixz"), (1, 2, "iyz"))
 
 
-def load_model(path: str | Path, packages: Packages = None) -> mujoco.MjModel:
-    """Compile the model file `path` (.xml, .urdf, .mjb); `packages` as in `urdf_spec`.
+def load_model(path: str | Path, packages: Packages = None, frames: Wanted = None) -> mujoco.MjModel:
+    """Compile the model file `path` (.xml, .urdf, .mjb); `packages` as in `urdf_spec`, `frames` to add sensors for.
 
     Raises ValueError, in one sentence, when there is no such file or MuJoCo cannot make a model of it.
     """
     file = existing_file(path)
     if file.suffix.lower() == ".mjb":
         _refuse_other_version(file)
+        if frames is not None:
+            raise ValueError(f"{file.name} is binary, so that it takes no sensors for frames; give its .xml")
         return _explained(file, lambda: mujoco.MjModel.from_binary_path(str(file)))
     root = _xml_root(file)
-    model = compiled(load_spec(file, packages), file)
+    spec = load_spec(file, packages)
+    add_frames(spec, frames)
+    model = compiled(spec, file)
     if root.tag == "robot":
         _refuse_massless(model, root, file)
     return model
@@ -73,10 +78,12 @@ def load_spec(path: str | Path, packages: Packages = None) -> mujoco.MjSpec:
     return _explained(file, lambda: mujoco.MjSpec.from_file(str(file)))
 
 
-def model_of_text(text: str) -> mujoco.MjModel:
-    """Compile MJCF text; errors as `load_model`."""
+def model_of_text(text: str, frames: Wanted = None) -> mujoco.MjModel:
+    """Compile MJCF text; errors and `frames` as `load_model`."""
     check_kind("from_xml", text)
-    return compiled(_explained("the XML text", lambda: mujoco.MjSpec.from_string(text)), "the XML text")
+    spec = _explained("the XML text", lambda: mujoco.MjSpec.from_string(text))
+    add_frames(spec, frames)
+    return compiled(spec, "the XML text")
 
 
 def compiled(spec: mujoco.MjSpec, source: object = "the model") -> mujoco.MjModel:

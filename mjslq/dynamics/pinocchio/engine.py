@@ -33,7 +33,7 @@ from mjslq.dynamics.locked_joints import LockedJoints
 from mjslq.dynamics.pinocchio import models
 from mjslq.dynamics.pinocchio.algorithms import Ties
 from mjslq.dynamics.pinocchio.mimic import Follower, lock_followers, tie
-from mjslq.dynamics.pinocchio.outputs import Readings
+from mjslq.dynamics.pinocchio.outputs import ORIENTATION, Readings
 from mjslq.dynamics.pinocchio.states import state_space
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
@@ -190,6 +190,16 @@ class PinocchioDynamics(Dynamics):
     def outputs(self) -> dict[str, Output]:
         """Frames' positions and orientations by name."""
         return self._readings.outputs
+
+    def frame_output(self, frame: str, of: str) -> str:
+        """See `Dynamics.frame_output`."""
+        name = {"position": frame, "orientation": frame + ORIENTATION}.get(of)
+        if name is None:
+            raise ValueError(f"the outputs of PinocchioDynamics are positions and orientations, not a frame's {of}")
+        if name not in self.outputs:
+            choose("frame", frame, self.frame_names)
+            raise ValueError(f"no output reads the {of} of {frame!r}; make the engine with outputs=({name!r}, ...)")
+        return name
 
     def holding_controls(self, x: ArrayLike) -> Array:
         """Controls under which the robot keeps the configuration of `x` at rest, gravity balanced. Shape (nu,).
