@@ -18,7 +18,7 @@ DEMOS = sorted(file for file in ROOT.glob("demos/[0-9]*.py") if file != LONG)
 def seen(monkeypatch, tmp_path):
     """Results that were to be looked at, without a browser, in a folder of their own."""
     shown = []
-    monkeypatch.setattr(mjslq, "view", shown.append)
+    monkeypatch.setattr(mjslq, "view", lambda result, beside=(): shown.extend([result, *beside]))
     monkeypatch.chdir(tmp_path)
     return shown
 
