@@ -1,4 +1,4 @@
-"""Every method on one problem from the same start: a swing-up with limits, and the hopper; then all of them on one plot.
+"""Every method on one problem from the same start: a swing-up with limits and the hopper; then all on one plot.
 
 Run with    python demos/10_comparing_methods.py
 """
