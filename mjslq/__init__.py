@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from mjslq.dynamics.function import FunctionDynamics as FunctionDynamics
     from mjslq.dynamics.mujoco import MujocoDynamics as MujocoDynamics
     from mjslq.dynamics.pinocchio import PinocchioDynamics as PinocchioDynamics
+    from mjslq.exports import export as export
     from mjslq.log import IterationLog as IterationLog
     from mjslq.mpc import MPC as MPC
     from mjslq.optimize import methods as methods
@@ -80,6 +81,7 @@ _HOME = {
     "Task": "mjslq.tasks.task",
     "Trajectory": "mjslq.trajectory",
     "explain": "mjslq.reports.explain",
+    "export": "mjslq.exports",
     "export_html": "mjslq.viewer",
     "live": "mjslq.viewer",
     "load": "mjslq.result",

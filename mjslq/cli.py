@@ -15,7 +15,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from mjslq.commands import explaining, measuring, sweeping, tasks
+from mjslq.commands import explaining, exporting, measuring, sweeping, tasks
 from mjslq.commands.common import (
     MODELS,
     Host,
@@ -140,19 +140,6 @@ def view(
 
 
 @app.command()
-def export(
-    file: Annotated[Path, typer.Argument(help="A result that `solve --save` wrote.")],
-    page: Annotated[Path, typer.Argument(help="The HTML file to write.")],
-) -> None:
-    """Write a saved result as one HTML file that plays in any browser, without a network."""
-    from mjslq.result import load
-    from mjslq.viewer import export_html
-
-    export_html(load(file), page)
-    print(f"{page}: {page.stat().st_size / 1e6:.1f} MB", file=sys.stderr)
-
-
-@app.command()
 def compare(
     problem: Annotated[str, typer.Argument(help="A problem of `mjslq list`.")],
     methods: Annotated[
@@ -203,6 +190,7 @@ for _command in (
     tasks.new,
     tasks.schema,
     explaining.explain,
+    exporting.export,
     measuring.check,
     measuring.reproduce,
     measuring.bench,

@@ -8,6 +8,7 @@ of the first, after the last step that of the last, about the final state.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -107,6 +108,26 @@ class Policy:
             self.X[states], self.U[at], None if self.K is None else self.K[at], np.asarray(self.dt)[at],
             self.lower[at], self.upper[at], self.space,
         )  # fmt: skip
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the policy to `path`, whole or not at all, as plain arrays that NumPy alone can read.
+
+        `numpy.load(path)` has "X", "U", "K" (zeros where there is no feedback), "dt", "lower" and "upper", with the
+        shapes above. Raises ValueError when the file cannot be written.
+        """
+        from mjslq.policy_file import save_policy
+
+        save_policy(self, path)
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Policy:
+        """Read what `save` wrote.
+
+        Raises FileNotFoundError when there is no such file, ValueError when it is something else than a policy.
+        """
+        from mjslq.policy_file import load_policy
+
+        return load_policy(path)
 
     @classmethod
     def along(cls, trajectory: Trajectory, space: StateSpace | None = None) -> Policy:

@@ -40,7 +40,7 @@ PLAIN = (
 """Fields that JSON holds as they are."""
 NAMED = ("violations", "multipliers", "knots")
 """Fields that are arrays by name."""
-_DAMAGED = (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile, zlib.error, NotImplementedError)
+DAMAGED = (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile, zlib.error, NotImplementedError)
 """What a foreign or damaged file makes the readers of zip, npy and JSON raise."""
 
 
@@ -65,7 +65,7 @@ def save(result: Result, path: str | os.PathLike[str]) -> None:
         arrays["scene_columns"] = np.array(result.scene.columns, dtype=np.int64)
         arrays["scene_lines"] = np.array(result.scene.lines, dtype=np.float64).reshape(-1, 2)
     if result.space is not None:
-        arrays |= _pack_space(result.space)
+        arrays |= pack_space(result.space)
     header = {name: getattr(result, name) for name in PLAIN} | {
         "format": FORMAT,
         "status": result.status.value,
@@ -87,7 +87,7 @@ def load(path: str | os.PathLike[str]) -> Result:
             arrays = {entry: data[entry] for entry in data.files}
     except FileNotFoundError:
         raise FileNotFoundError(f"there is no file {name}") from None
-    except _DAMAGED as error:
+    except DAMAGED as error:
         why = " ".join(str(error).split()) if zipfile.is_zipfile(path) or os.path.isdir(path) else "it is no .npz file"
         raise ValueError(f"{name} is not a result saved by mjslq ({why})") from None
     if version != FORMAT:
@@ -125,7 +125,7 @@ def _result_of(header: dict[str, Any], arrays: dict[str, Array]) -> Result:
         gradient=arrays.get("gradient"),
         lower=arrays["lower"],
         upper=arrays["upper"],
-        space=_unpack_space(arrays),
+        space=unpack_space(arrays),
         scene=scene,
         contact=Contact(**header["contact"]) if header.get("contact") else None,
     )
@@ -151,7 +151,8 @@ def _unpack(name: str, arrays: dict[str, Array]) -> tuple[Trajectory, ...]:
     )
 
 
-def _pack_space(space: StateSpace) -> dict[str, Array]:
+def pack_space(space: StateSpace) -> dict[str, Array]:
+    """Where the rotations of a state are, as arrays by name."""
     packed: dict[str, Any] = {"space_size": np.array([space.nx, space.ndx])}
     for part in space.parts:
         name = type(part.group).__name__
@@ -159,7 +160,8 @@ def _pack_space(space: StateSpace) -> dict[str, Array]:
     return packed
 
 
-def _unpack_space(arrays: dict[str, Array]) -> StateSpace | None:
+def unpack_space(arrays: dict[str, Array]) -> StateSpace | None:
+    """Read what `pack_space` wrote; None where it wrote nothing."""
     if "space_size" not in arrays:
         return None
     nx, ndx = (int(size) for size in arrays["space_size"])

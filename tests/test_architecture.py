@@ -117,7 +117,7 @@ def test_the_ground_knows_nothing_of_what_stands_on_it(module):
     "room, below",
     [
         ("mjslq.lq", ("mjslq.lq", "mjslq.native", "mjslq.validation")),
-        ("mjslq.policy", ("mjslq.manifold", "mjslq.trajectory", "mjslq.validation")),
+        ("mjslq.policy", ("mjslq.manifold", "mjslq.policy_file", "mjslq.trajectory", "mjslq.validation")),
         ("mjslq.trajectory", ("mjslq.validation",)),
         ("mjslq.status", ()),
         ("mjslq.log", ()),

@@ -18,7 +18,7 @@ DEMOS = sorted(file for file in ROOT.glob("demos/[0-9]*.py") if file != LONG)
 def seen(monkeypatch, tmp_path):
     """Results that were to be looked at, without a browser, in a folder of their own."""
     shown = []
-    monkeypatch.setattr(mjslq, "view", shown.append)
+    monkeypatch.setattr(mjslq, "view", lambda result, beside=(): shown.extend([result, *beside]))
     monkeypatch.chdir(tmp_path)
     return shown
 
@@ -69,3 +69,13 @@ def test_the_closed_loops_of_the_demo_end_where_they_should(monkeypatch, capsys)
     runpy.run_path(str(LONG), run_name="__main__")
     ends = [float(line.rsplit(" ", 1)[1]) for line in capsys.readouterr().out.splitlines()]
     assert len(ends) == 3 and max(ends) < 0.1
+
+
+def test_the_policy_elsewhere_keeps_the_pole_up(seen, monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(sys, "argv", ["11", str(tmp_path / "poles.png")])
+    runpy.run_path(str(ROOT / "demos" / "11_policy_elsewhere.py"), run_name="__main__")
+    found = re.findall(r"ends (\S+) rad from upright with feedback, (\S+) without", capsys.readouterr().out)
+    ends = [(abs(float(closed)), abs(float(opened))) for closed, opened in found]
+    assert len(ends) == 3 and all(closed < 0.01 for closed, _ in ends)
+    assert ends[0][1] < 0.01 and all(opened > 1.0 for _, opened in ends[1:])
+    assert (tmp_path / "poles.png").stat().st_size > 10_000
