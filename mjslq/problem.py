@@ -32,6 +32,9 @@ from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array, count, finite, frozen, function, instance, refrozen
 
+LONGEST = 10_000_000
+"""Steps of a horizon, at most: one of more is a mistake, and would ask for terabytes."""
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -80,6 +83,8 @@ class Problem:
         if not isinstance(self.dynamics, Dynamics):
             raise ValueError(f"dynamics must be an engine (MujocoDynamics, ...), got {type(self.dynamics).__name__}")
         dynamics, N = self.dynamics, count("horizon", self.horizon)
+        if N > LONGEST:
+            raise ValueError(f"horizon must be at most {LONGEST} steps, got {N}")
         dynamics.steps(N)
         store = object.__setattr__  # the way to fill a frozen record
         store(self, "x0", frozen(np.array(dynamics.checked_start(self.x0))))
