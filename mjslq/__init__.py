@@ -14,6 +14,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from mjslq import numba_cache
+
 if TYPE_CHECKING:
     from mjslq import constraints as constraints
     from mjslq import costs as costs
@@ -48,6 +50,8 @@ if TYPE_CHECKING:
     from mjslq.viewer import export_html as export_html
     from mjslq.viewer import live as live
     from mjslq.viewer import view as view
+
+numba_cache.provide()
 
 __version__ = "0.3.0"
 

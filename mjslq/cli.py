@@ -63,7 +63,10 @@ def main() -> None:
         _write_no_more()
     except MemoryError as error:
         _refuse(f"there is not enough memory: {' '.join(str(error).split())}")
-    except (ValueError, OSError, ImportError) as error:
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else "the output cannot be written: "
+        _refuse(f"{where}{error.strerror}" if error.strerror else " ".join(str(error).split()))
+    except (ValueError, ImportError) as error:
         _refuse(" ".join(str(error).split()))
 
 

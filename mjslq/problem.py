@@ -30,7 +30,7 @@ from mjslq.options import check as check_options
 from mjslq.residuals import Slopes
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, as_array, count, finite, frozen, function, instance, refrozen
+from mjslq.validation import Array, as_array, count, describe, finite, frozen, function, instance, refrozen
 
 LONGEST = 10_000_000
 """Steps of a horizon, at most: one of more is a mistake, and would ask for terabytes."""
@@ -84,7 +84,7 @@ class Problem:
             raise ValueError(f"dynamics must be an engine (MujocoDynamics, ...), got {type(self.dynamics).__name__}")
         dynamics, N = self.dynamics, count("horizon", self.horizon)
         if N > LONGEST:
-            raise ValueError(f"horizon must be at most {LONGEST} steps, got {N}")
+            raise ValueError(f"horizon must be at most {LONGEST} steps, got {describe(N)}")
         dynamics.steps(N)
         store = object.__setattr__  # the way to fill a frozen record
         store(self, "x0", frozen(np.array(dynamics.checked_start(self.x0))))
