@@ -14,6 +14,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from mjslq import numba_cache
+
 if TYPE_CHECKING:
     from mjslq import clips as clips
     from mjslq import constraints as constraints
@@ -51,6 +53,8 @@ if TYPE_CHECKING:
     from mjslq.viewer import export_html as export_html
     from mjslq.viewer import live as live
     from mjslq.viewer import view as view
+
+numba_cache.provide()
 
 __version__ = "0.3.0"
 

@@ -13,6 +13,7 @@ options, and states and cost that its controls give again.
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
 import multiprocessing
@@ -20,7 +21,7 @@ import os
 import re
 import signal
 import traceback
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Iterable, Iterator, Mapping, Sized
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from concurrent.futures import ProcessPoolExecutor as Processes
 from dataclasses import dataclass
@@ -31,10 +32,11 @@ import numpy as np
 
 from mjslq.cores import usable_cores
 from mjslq.files import atomic_write
+from mjslq.options import check
 from mjslq.problem import Problem
 from mjslq.result import Result, load
 from mjslq.status import Status
-from mjslq.validation import count
+from mjslq.validation import choose, count, describe
 
 IN_FLIGHT = 64
 """Problems handed to an executor that was given, at most, before one of them is done."""
@@ -107,8 +109,8 @@ def solve_many(
     Raises
     ------
     ValueError
-        At once for arguments out of range and a folder that cannot be written to; during the iteration for a file in
-        `out` that belongs to another problem.
+        At once for arguments out of range, unknown methods and options, and a folder that cannot be written to; during
+        the iteration for a file in `out` that belongs to another problem.
     """
     if executor is not None and not isinstance(executor, Executor):
         raise ValueError(f"executor must be a concurrent.futures.Executor, got {type(executor).__name__}")
@@ -116,6 +118,9 @@ def solve_many(
         raise ValueError("give either executor or workers, which is for the processes started without one")
     if isinstance(problems, Problem):
         raise ValueError("problems must be several, such as a list; for one there is mjslq.solve")
+    if isinstance(problems, (str, Mapping)) or not isinstance(problems, Iterable):
+        raise ValueError(f"problems must be several mjslq.Problem, such as a list, got {describe(problems)}")
+    _refuse_options(method, options)
     workers = usable_cores() if workers is None else count("workers", workers)
     room = (workers + 1 if executor is None else IN_FLIGHT) if in_flight is None else count("in_flight", in_flight)
     folder = None if out is None else _folder(out)
@@ -140,17 +145,22 @@ class _Batch:
 
     def run(self, problems: Iterable[Problem]) -> Iterator[Solved]:
         """Solve all, as they end."""
-        coming, more = enumerate(problems), True
+        coming, more, broken = enumerate(problems), True, None
         try:
             while more or self._pending:
                 while more and len(self._pending) < self.room:
-                    following = next(coming, None)
+                    try:
+                        following = next(coming, None)
+                    except Exception as error:  # of a generator of theirs: what is under way is not to be lost
+                        following, broken = None, error
                     if following is None:
                         more = False
                     elif (done := self._known(*following) or self._submit(*following)) is not None:
                         yield done
                 if self._pending:
                     yield from self._collected()
+            if broken is not None:
+                raise broken
         finally:
             for future in self._pending:
                 future.cancel()
@@ -180,6 +190,8 @@ class _Batch:
 
     def _submit(self, index: int, problem: Problem) -> Solved | None:
         """Hand a problem over; what came of it where that fails at once."""
+        if not isinstance(problem, Problem):
+            return self._failed(index, problem, f"problem must be a mjslq.Problem, got {describe(problem)}")
         if self.given is None and self._own is None:
             self._own = _processes(self.workers)
         executor = self.given or self._own
@@ -249,6 +261,18 @@ def _solve_in_process(problem: Problem, method: str, options: dict[str, Any]) ->
         return solve_one(problem, method, options)
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _refuse_options(method: str, options: Mapping[str, Any]) -> None:
+    """Refuse methods and options that no problem is solved with, before anything is. Raises ValueError."""
+    from mjslq.optimize import ALIASES, METHODS, settable, solve
+
+    choose("method", method, [*METHODS, *ALIASES])
+    known, arguments = settable(method), inspect.signature(solve).parameters.values()
+    others = [given.name for given in arguments if given.kind is given.KEYWORD_ONLY]
+    for name in options:
+        choose(f"option for method {method!r}", name, dict.fromkeys([*known, *others]))
+    check({name: value for name, value in options.items() if name in known and value is not None})
 
 
 def _difference(result: Result, problem: Problem, method: str, options: dict[str, Any]) -> str:

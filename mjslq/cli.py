@@ -7,6 +7,7 @@ the result, so that `--json` can be piped.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
@@ -24,6 +25,8 @@ from mjslq.commands.common import (
     Settings,
     View,
     announce,
+    keep,
+    refuse_address,
     refuse_model,
     refuse_unwritable,
     sort_settings,
@@ -47,21 +50,41 @@ _USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
 def main() -> None:
     """Run the command line; every wrong input ends in one sentence and status 2."""
     try:
-        sys.exit(app(sys.argv[1:] or ["--help"], standalone_mode=False))
+        code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+        if sys.stdout is not None:
+            sys.stdout.flush()  # here, where a full disk and a reader that has gone are told
+        sys.exit(code)
     except _USAGE_ERROR as error:
         _refuse(" ".join(error.format_message().split()))  # type: ignore[attr-defined]
     except (KeyboardInterrupt, typer.Abort):
         print("mjslq: interrupted", file=sys.stderr)
         sys.exit(_EXIT["interrupted"])
     except BrokenPipeError:  # the reader of a pipe has gone; that is its right
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (ValueError, OSError, ImportError) as error:
+        _write_no_more()
+    except MemoryError as error:
+        _refuse(f"there is not enough memory: {' '.join(str(error).split())}")
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else "the output cannot be written: "
+        _refuse(f"{where}{error.strerror}" if error.strerror else " ".join(str(error).split()))
+    except (ValueError, ImportError) as error:
         _refuse(" ".join(str(error).split()))
 
 
 def _refuse(sentence: str) -> NoReturn:
-    print(f"mjslq: {sentence}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # nobody reads it
+        print(f"mjslq: {sentence}", file=sys.stderr)
+    if sys.stdout is not None:
+        try:
+            sys.stdout.flush()
+        except OSError:
+            _write_no_more()
     sys.exit(WRONG_INPUT)
+
+
+def _write_no_more() -> None:
+    """Let what is left for standard output go nowhere, which Python would complain of at its end."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @app.command("list")
@@ -95,6 +118,8 @@ def solve(
     """Solve a problem: a line an iteration while it works, a summary after."""
     if save is not None:
         refuse_unwritable(save)
+    if view:
+        refuse_address(host, port)
     announce(quiet)
     from mjslq.optimize import solve as run
     from mjslq.reports.tables import as_dict, print_summary
@@ -103,16 +128,16 @@ def solve(
     if preset is not None:
         options["preset"] = preset
     result = run(stated, method, verbose=0 if quiet else 1, stream=sys.stderr, **options)
+    if save is not None:
+        keep(result, save)  # before anything is printed, which may fail
     if as_json:
         print(json.dumps(as_dict(result), allow_nan=False))
     elif not quiet:
         print_summary(result, stated)
     if quiet and result.error:
         print(f"mjslq: {result.message}", file=sys.stderr)
-    if save is not None:
-        result.save(save)
-        if not quiet:
-            print(f"saved to {save}", file=sys.stderr)
+    if save is not None and not quiet:
+        print(f"saved to {save}", file=sys.stderr)
     if view:
         from mjslq.viewer import view as show
 
@@ -152,6 +177,8 @@ def compare(
     port: Port = 8080,
 ) -> None:
     """Solve a problem by every method from the same start: one table, one plot."""
+    if view:
+        refuse_address(host, port)
     announce(quiet=False)
     from mjslq import problems
     from mjslq.options import COMMON

@@ -35,7 +35,7 @@ from mjslq.lq.box import Box
 from mjslq.lq.problem import Mask
 from mjslq.targets import Timed
 from mjslq.user_function import UserFunction
-from mjslq.validation import Array, choose
+from mjslq.validation import Array, choose, function
 
 RESERVED = "controls"
 """What results call the multipliers of the limits of the controls."""
@@ -203,16 +203,16 @@ class Path(Constraint):
 
     def bind(self, dynamics: Dynamics, N: int, name: str) -> BoundConstraint:
         """See `Constraint.bind`."""
-        function = UserFunction("w", self.w, dynamics.nx, dynamics.nu, self.jacobian, self.parameters)
+        w = UserFunction("w", self.w, dynamics.nx, dynamics.nu, self.jacobian, self.parameters)
         steps = dynamics.steps(N)
         knots = knots_of(self.when, steps)
         residual: residuals.BoundResidual
         if choose("at", self.at, ("start", "end")) == "end":
             if len(knots.steps) < len(knots):
                 raise ValueError(f'when must name steps with at="end", 0 to {N - 1}: no step begins at knot {N}')
-            residual = EndResidual(dynamics, function, knots, np.cumsum(steps)[knots.indices])
+            residual = EndResidual(dynamics, w, knots, np.cumsum(steps)[knots.indices])
         else:
-            residual = residuals.FunctionResidual(dynamics, function, knots)
+            residual = residuals.FunctionResidual(dynamics, w, knots)
         return _function_constraint(name, residual, self.equality)
 
 
@@ -369,11 +369,10 @@ def _of_state(
     letter: str, f: Any, jacobian: Any, dynamics: Dynamics, N: int, when: When, name: str, equality: bool
 ) -> BoundConstraint:
     """A constraint on a function of one knot's state alone."""
-    if not callable(f):
-        raise ValueError(f"{letter}(x) must be a function, got {type(f).__name__}")
-    of_state = None if jacobian is None else _JacobianOfState(jacobian, dynamics.nu)
-    function = UserFunction(letter, _OfState(f), dynamics.nx, dynamics.nu, of_state)
-    residual = residuals.FunctionResidual(dynamics, function, knots_of(when, dynamics.steps(N)))
+    function(f"{letter}(x)", f)
+    of_state = None if jacobian is None else _JacobianOfState(function("jacobian", jacobian), dynamics.nu)
+    wrapped = UserFunction(letter, _OfState(f), dynamics.nx, dynamics.nu, of_state)
+    residual = residuals.FunctionResidual(dynamics, wrapped, knots_of(when, dynamics.steps(N)))
     return _function_constraint(name, residual, equality)
 
 

@@ -9,18 +9,21 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
+from mjslq.validation import path_of
+
+_NAME = 60
+"""Characters of a file's name that its temporary one begins with."""
+
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """Open a temporary file beside `path`; rename it to `path` once its writer has finished without error.
 
-    Raises ValueError when the folder does not exist or cannot be written to.
+    Raises ValueError when the folder does not exist or cannot be written to, and when the disk is full.
     """
-    target = Path(path)
-    if target.is_dir():
-        raise ValueError(f"cannot write {target}: it is a folder")
+    target = writable(path)
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
+        handle, name = tempfile.mkstemp(prefix=f".{target.name[:_NAME]}.", dir=target.parent)
     except OSError as error:
         raise ValueError(f"cannot write {target}: {error.strerror or error}") from None
     try:
@@ -32,6 +35,23 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         os.umask(umask)
         os.chmod(name, 0o666 & ~umask)  # mkstemp makes private files; a result should be as any other file
         os.replace(name, target)
-    except BaseException:
+    except BaseException as error:
         Path(name).unlink(missing_ok=True)
+        if isinstance(error, OSError):  # such as a full disk
+            raise ValueError(f"cannot write {target}: {error.strerror or error}") from None
         raise
+
+
+def writable(path: str | os.PathLike[str]) -> Path:
+    """Return the path of a file that may be written, as far as can be told beforehand. Raises ValueError."""
+    target = path_of("path", path)
+    try:
+        if target.is_dir():
+            raise ValueError(f"cannot write {target}: it is a folder")
+        if not target.parent.is_dir():
+            raise ValueError(f"cannot write {target}: there is no folder {target.parent}")
+        if target.exists() and not os.access(target, os.W_OK):
+            raise ValueError(f"cannot write {target}: the file is read-only")
+    except OSError as error:  # such as a name that is too long
+        raise ValueError(f"cannot write {target}: {error.strerror or error}") from None
+    return target

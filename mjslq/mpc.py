@@ -37,6 +37,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjslq.optimize import option_names, solve
+from mjslq.options import check
 from mjslq.policy import NEAR, Policy
 from mjslq.problem import Problem
 from mjslq.result import Result
@@ -349,3 +350,4 @@ def _refuse_options(method: str, problem: Problem, options: dict[str, Any]) -> N
     known = [name for name in option_names(routed) if name != "max_iterations"]  # that is `iterations` here
     for name in options:
         choose(f"option for method {method!r}", name, known)
+    check(options)

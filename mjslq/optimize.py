@@ -29,7 +29,7 @@ from mjslq.solvers.monitor import Monitor
 from mjslq.solvers.newton import Newton
 from mjslq.solvers.slq import SLQ
 from mjslq.solvers.trust_region import TrustRegion
-from mjslq.validation import choose
+from mjslq.validation import choose, count, describe, flag, function, instance
 
 
 @dataclass(frozen=True)
@@ -202,8 +202,14 @@ def solve(
     ValueError
         For an unknown method or option, a start of the wrong shape, or derivatives that fail their check.
     """
-    if not isinstance(problem, Problem):
-        raise ValueError(f"problem must be a mjslq.Problem, got {type(problem).__name__}")
+    instance("problem", problem, Problem, "a mjslq.Problem")
+    count("verbose", verbose, at_least=0)
+    flag("check_derivatives", check_derivatives)
+    flag("keep_iterates", keep_iterates)
+    if callback is not None:
+        function("callback", callback)
+    if stream is not None and not hasattr(stream, "write"):
+        raise ValueError(f"stream must be a file that is open for writing, got {describe(stream)}")
     if problem.dynamics.nu == 0:
         raise ValueError("this model has no controls, so there is nothing to optimize; give it actuators")
     method = choose("method", method, [*METHODS, *ALIASES])
@@ -246,8 +252,7 @@ def solve(
         outcome = descend_with_foresight(here, make, stopping, monitor, interrupts)
         remarks = [start.remark, routed, outcome.remark]
         result = _result(outcome, monitor, problem, method, asdict(stopping) | asdict(record), remarks)
-    if verbose:
-        print(f"{result.status.value}: {result.message}", file=monitor.stream)
+    monitor.say(f"{result.status.value}: {result.message}")
     return result
 
 

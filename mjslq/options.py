@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mjslq.validation import choose, positive
+from mjslq.validation import choose, describe, flag, positive
 
 LINE_SEARCHES = ("quadratic-fit", "armijo", "goldstein", "wolfe", "exact")
 STEPS = ("closed-loop", "open-loop")
@@ -47,7 +47,7 @@ class Stopping:
     horizons, in which the last iterate is what the next plan goes on from, whether or not it is the best one."""
 
     def __post_init__(self) -> None:
-        _check_flag("lean", self.lean)
+        flag("lean", self.lean)
         for name in ("tol_direction", "tol_gradient"):
             check_tolerance(name, getattr(self, name))
         limit = self.max_iterations
@@ -72,7 +72,7 @@ class Search:
     def __post_init__(self) -> None:
         choose("line_search", self.line_search, LINE_SEARCHES)
         choose("step", self.step, STEPS)
-        _check_flag("acceleration", self.acceleration)
+        flag("acceleration", self.acceleration)
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class SquareRootSweepOptions:
                 raise ValueError(f"{name} must not be above 1, got {getattr(self, name)!r}")
         if positive("threshold", self.threshold) < 1.0:
             raise ValueError(f"threshold must be at least 1, got {self.threshold!r}")
-        _check_flag("cost_row", self.cost_row)
+        flag("cost_row", self.cost_row)
         choose("step", self.step, STEPS)
         check_tolerance("degradation", self.degradation)
         if isinstance(self.first, str) or not all(isinstance(name, str) for name in _listed("first", self.first)):
@@ -163,7 +163,7 @@ class SLQOptions(Search):
         if self.multiplier is not None:
             choose("multiplier", self.multiplier, MULTIPLIERS)
         positive("damping", self.damping)
-        _check_flag("rescue", self.rescue)
+        flag("rescue", self.rescue)
 
 
 @dataclass(frozen=True)
@@ -286,7 +286,7 @@ class GoprontoOptions(CurveOptions):
         number = isinstance(momentum, (int, float, np.integer, np.floating)) and not isinstance(momentum, bool)
         if not (number and 0.0 <= momentum < 1.0):
             raise ValueError(f"momentum must be a number of at least 0 and below 1, got {momentum!r}")
-        _check_flag("restarts", self.restarts)
+        flag("restarts", self.restarts)
 
 
 RECORDS: dict[str, type[Any]] = {
@@ -312,6 +312,8 @@ def names(method: str) -> list[str]:
 
 def check(options: Mapping[str, Any]) -> None:
     """Refuse, by ValueError, names that no method has and values that none of those that have them takes."""
+    if not isinstance(options, Mapping):
+        raise ValueError(f"options must be a table of values by name, got {describe(options)}")
     known = dict.fromkeys(name for method in RECORDS for name in names(method))
     for name, value in options.items():
         choose("option", name, known)
@@ -328,11 +330,6 @@ def check_tolerance(name: str, value: Any) -> None:
     number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
     if not (number and 0.0 <= value < np.inf):
         raise ValueError(f"{name} must be a number of at least 0, got {value!r}")
-
-
-def _check_flag(name: str, value: Any) -> None:
-    if not isinstance(value, bool):
-        raise ValueError(f"{name} must be True or False, got {value!r}")
 
 
 def _check_pair(name: str, given: Any, fits: Any, what: str) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from mjslq.manifold import StateSpace
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, as_array, count, frozen, refrozen
+from mjslq.validation import Array, as_array, count, frozen, instance, refrozen
 
 NEAR = 1e-9
 """Share of a step within which a time counts as the knot's."""
@@ -48,8 +48,12 @@ class Policy:
     def __post_init__(self) -> None:
         X, U = as_array("X", self.X, ("N + 1", "nx")), as_array("U", self.U)
         N = len(X) - 1
+        if N < 1:
+            raise ValueError(f"X must have at least two knots, so that there is a step, got {len(X)}")
         U = as_array("U", U, (N, "nu"))
         space = StateSpace.plain(X.shape[1]) if self.space is None else self.space
+        if instance("space", space, StateSpace, "the state space of an engine").nx != X.shape[1]:
+            raise ValueError(f"space has states of {space.nx} entries, but X those of {X.shape[1]}")
         dt = as_array("dt", self.dt)
         if dt.shape not in ((), (N,)):
             raise ValueError(f"dt must be a number or one per step ({N},), got shape {dt.shape}")
@@ -89,13 +93,17 @@ class Policy:
     def __call__(self, x: ArrayLike, t: float) -> Array:
         """Control in state `x` (nx,) at time `t` [s] since the start. Shape (nu,)."""
         assert self.space is not None and self.lower is not None and self.upper is not None  # filled in when made
-        n, share = self._place(float(t))
+        x = as_array("x", x, (self.space.nx,))
+        time = float(as_array("t", t, (), finite=False))
+        if np.isnan(time):
+            raise ValueError("t must be a time, got nan")
+        n, share = self._place(time)
         u: Array = self.U[n]
         if self.K is not None:
             x_ref = self.X[n]
             if share > 0.0:
                 x_ref = self.space.integrate(x_ref, share * self.space.difference(x_ref, self.X[n + 1]))
-            u = u - self.K[n] @ self.space.difference(x_ref, as_array("x", x, (self.space.nx,)))
+            u = u - self.K[n] @ self.space.difference(x_ref, x)
         return np.minimum(np.maximum(u, self.lower[n]), self.upper[n])
 
     def shifted(self, steps: int) -> Policy:
@@ -132,6 +140,7 @@ class Policy:
     @classmethod
     def along(cls, trajectory: Trajectory, space: StateSpace | None = None) -> Policy:
         """The controls of a trajectory, without feedback."""
+        instance("trajectory", trajectory, Trajectory, "a Trajectory")
         return cls(trajectory.X, trajectory.U, None, trajectory.dt, space=space)
 
     def _place(self, t: float) -> tuple[int, float]:

@@ -46,6 +46,6 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
         return Policy(**given, space=unpack_space(arrays))
     except FileNotFoundError:
         raise FileNotFoundError(f"there is no file {name}") from None
-    except DAMAGED as error:
+    except (OSError, *DAMAGED) as error:
         why = " ".join(str(error).split()) if zipfile.is_zipfile(path) or os.path.isdir(path) else "it is no .npz file"
         raise ValueError(f"{name} is not a policy saved by mjslq ({why})") from None

@@ -30,7 +30,10 @@ from mjslq.options import check as check_options
 from mjslq.residuals import Slopes
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, as_array, count, finite, frozen, refrozen
+from mjslq.validation import Array, as_array, count, describe, finite, frozen, function, instance, refrozen
+
+LONGEST = 10_000_000
+"""Steps of a horizon, at most: one of more is a mistake, and would ask for terabytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +85,8 @@ class Problem:
         if not isinstance(self.dynamics, Dynamics):
             raise ValueError(f"dynamics must be an engine (MujocoDynamics, ...), got {type(self.dynamics).__name__}")
         dynamics, N = self.dynamics, count("horizon", self.horizon)
+        if N > LONGEST:
+            raise ValueError(f"horizon must be at most {LONGEST} steps, got {describe(N)}")
         dynamics.steps(N)
         store = object.__setattr__  # the way to fill a frozen record
         store(self, "x0", frozen(np.array(dynamics.checked_start(self.x0))))
@@ -95,6 +100,7 @@ class Problem:
         self._bind_constraints(bounds, N)
         store(self, "U0", frozen(self.box.clip(np.broadcast_to(U0, (N, dynamics.nu)))))
         check_options(self.options)
+        self._check_labels()
         if not isinstance(self.costs, (CostTerm, Sequence)):
             raise ValueError(f"costs must be a list of terms of mjslq.costs, got {type(self.costs).__name__}")
         terms = [self.costs] if isinstance(self.costs, CostTerm) else list(self.costs)
@@ -113,6 +119,25 @@ class Problem:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(refrozen(state))
+
+    def _check_labels(self) -> None:
+        """Check what is there for titles, records and viewers."""
+        instance("name", self.name, str, "a text")
+        instance("parameters", self.parameters, Mapping, "a table of values by name")
+        if self.describe is not None:
+            function("describe", self.describe)
+        if self.drawing is not None:
+            instance("drawing", self.drawing, Scene, "a mjslq.Scene")
+
+    def _check(self, trajectory: Trajectory) -> None:
+        """Refuse what is no trajectory of this system and horizon."""
+        instance("trajectory", trajectory, Trajectory, "a mjslq.Trajectory")
+        found, own = (trajectory.X.shape, trajectory.U.shape), (self.horizon, self.dynamics.nx, self.dynamics.nu)
+        if found != ((own[0] + 1, own[1]), (own[0], own[2])):
+            raise ValueError(
+                f"trajectory must have {own[0]} steps, {own[1]} states and {own[2]} controls, got {len(trajectory.U)}, "
+                f"{found[0][1]} and {found[1][1]}"
+            )
 
     def _bind_constraints(self, bounds: Bounds, N: int) -> None:
         """Fit the constraints to the horizon; those of controls alone make the box smaller."""
@@ -185,6 +210,7 @@ class Problem:
 
     def violation(self, trajectory: Trajectory) -> float:
         """Largest violation of a constraint or of a control's limits; 0 when all are met, infinite if diverged."""
+        self._check(trajectory)
         if trajectory.diverged:
             return math.inf
         controls = float(np.abs(trajectory.U - self.box.clip(trajectory.U)).max(initial=0.0))
@@ -210,6 +236,7 @@ class Problem:
 
     def cost(self, trajectory: Trajectory) -> float:
         """Total cost J; infinite for a trajectory that diverged."""
+        self._check(trajectory)
         return self.total(self.costs_of_terms(trajectory))
 
     def costs_of_terms(self, trajectory: Trajectory) -> list[float]:
@@ -276,6 +303,7 @@ class Problem:
 
     def gradient(self, trajectory: Trajectory) -> Array:
         """Gradient dJ/dU by the adjoint recursion. Shape (N, nu).  (Sideris and Bobrow 2005, (8)-(10).)"""
+        self._check(trajectory)
         linearization = self.dynamics.linearize(trajectory)
         expansion = self.expand(trajectory, linearization)
         return adjoint(linearization.A, linearization.B, expansion.q, expansion.r)[1]

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from mjslq.dynamics.dynamics import Dynamics
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, as_array, choose, nonnegative, positive
+from mjslq.validation import Array, as_array, choose, instance, nonnegative, positive
 
 if TYPE_CHECKING:
     from mjslq.mpc import MPC, Statistics
@@ -213,7 +213,7 @@ def plant_of(given: Any, model: Dynamics) -> Plant:
 def _sorted(disturbances: Sequence[Disturbance], plant: Plant, ndx: int) -> tuple[list[Push], list[Kick]]:
     """Pushes and kicks apart, each checked."""
     pushes, kicks = [], []
-    for i, given in enumerate(disturbances):
+    for i, given in enumerate(instance("disturbances", disturbances, Sequence, "a list of Push and Kick")):
         name = f"disturbances[{i}]"
         if isinstance(given, Push) and plant.bodies:
             choose("body", given.body, plant.bodies)

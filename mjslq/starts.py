@@ -21,7 +21,7 @@ from mjslq.policy import Policy
 from mjslq.problem import Problem
 from mjslq.result import Result
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, as_array, positive
+from mjslq.validation import Array, as_array, describe, instance, positive
 
 ROUNDS = 20
 """Newton steps towards the controls that hold a state, at most."""
@@ -59,7 +59,8 @@ def hold(problem: Problem, x: ArrayLike | None = None) -> Array:
     array
         Shape (N, nu).
     """
-    x = np.asarray(problem.x0) if x is None else problem.dynamics.checked_start(x)
+    instance("problem", problem, Problem, "a mjslq.Problem")
+    x = np.asarray(problem.x0) if x is None else problem.dynamics.checked_start(x, "x")
     u, lower, upper = np.array(np.asarray(problem.U0)[0]), problem.box.lower[0], problem.box.upper[0]
     best, least = u, np.inf
     for _ in range(ROUNDS):
@@ -95,8 +96,8 @@ def servo(
     Policy
         Hand it to `solve(problem, guess=...)`.
     """
-    dynamics, N = problem.dynamics, problem.horizon
-    goal = np.asarray(problem.x0) if target is None else dynamics.checked_start(target)
+    dynamics, N = instance("problem", problem, Problem, "a mjslq.Problem").dynamics, problem.horizon
+    goal = np.asarray(problem.x0) if target is None else dynamics.checked_start(target, "target")
     stiffness = positive("stiffness", stiffness)
     damping = 2.0 * np.sqrt(stiffness) if damping is None else positive("damping", damping)
     u = hold(problem, goal)
@@ -130,8 +131,18 @@ def read(problem: Problem, guess: Any, U0: ArrayLike | None, X0: ArrayLike | Non
     if isinstance(guess, Policy):
         return _clipped(problem, _followed(problem, guess, x0), x0)
     if isinstance(guess, Trajectory):
+        if guess.U.shape != (problem.horizon, problem.dynamics.nu):
+            raise ValueError(
+                f"the guess is a trajectory of {guess.U.shape[0]} steps and {guess.U.shape[1]} controls, but the "
+                f"problem has {problem.horizon} and {problem.dynamics.nu}"
+            )
         U0 = guess.U
     elif guess is not None:
+        if isinstance(guess, str) or callable(guess):
+            raise ValueError(
+                f"guess must be a Result, a Trajectory, a Policy or an array of controls or states, got "
+                f"{describe(guess)}"
+            )
         array = as_array("guess", guess)
         shapes = {"U0": [(problem.dynamics.nu,), (problem.horizon, problem.dynamics.nu)]}
         shapes["X0"] = [(problem.horizon + 1, problem.dynamics.nx)]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import os
+import struct
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -28,8 +29,9 @@ from mjslq.manifold import StateSpace
 from mjslq.result import Result
 from mjslq.scene import Scene
 from mjslq.status import Status
+from mjslq.stored import checked
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array
+from mjslq.validation import Array, describe, gist, path_of
 
 FORMAT = 2
 """Version of the file format; files of another version are refused."""
@@ -40,8 +42,11 @@ PLAIN = (
 """Fields that JSON holds as they are."""
 NAMED = ("violations", "multipliers", "knots")
 """Fields that are arrays by name."""
-DAMAGED = (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile, zlib.error, NotImplementedError)
-"""What a foreign or damaged file makes the readers of zip, npy and JSON raise."""
+DAMAGED = (
+    EOFError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, SyntaxError, AssertionError,
+    MemoryError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error, NotImplementedError,
+)  # fmt: skip
+"""What foreign or damaged files make the readers of zip, npy and JSON raise."""
 
 
 _GROUPS: dict[str, Group] = {type(group).__name__: group for group in (ROTATION, MOTION, TURN, SLIDE)}
@@ -79,40 +84,55 @@ def save(result: Result, path: str | os.PathLike[str]) -> None:
 
 def load(path: str | os.PathLike[str]) -> Result:
     """Read what `save` wrote; see `mjslq.load`."""
-    name = os.fspath(path)
+    name = path_of("path", path)
+    if name.is_dir():
+        raise ValueError(f"{name} is a folder, not a result saved by mjslq")
     try:
-        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as data:
+        with open(name, "rb") as stream, np.load(stream, allow_pickle=False) as data:
             header = json.loads(str(data["header"]))
             version = header["format"]
-            arrays = {entry: data[entry] for entry in data.files}
+            arrays = {entry: np.asarray(data[entry]) for entry in data.files}
     except FileNotFoundError:
         raise FileNotFoundError(f"there is no file {name}") from None
+    except OSError as error:
+        raise ValueError(f"cannot read {name}: {error.strerror or error}") from None
     except DAMAGED as error:
-        why = " ".join(str(error).split()) if zipfile.is_zipfile(path) or os.path.isdir(path) else "it is no .npz file"
+        why = " ".join(str(error).split()) if zipfile.is_zipfile(name) else "it is no .npz file"
         raise ValueError(f"{name} is not a result saved by mjslq ({why})") from None
+    if isinstance(version, bool) or not isinstance(version, int):
+        raise ValueError(f"{name} is not a result saved by mjslq (its format is {describe(version)})")
     if version != FORMAT:
         raise ValueError(
             f"{name} has format {version}, this version of mjslq reads format {FORMAT}; "
             + ("upgrade mjslq" if version > FORMAT else "solve the problem again")
         )
     try:
-        return _result_of(header, arrays)
+        found = _fields_of(header, arrays)
     except KeyError as error:
         raise ValueError(f"{name} is not a whole result of mjslq: {error} is missing") from None
+    except DAMAGED as error:
+        raise ValueError(f"{name} is not a whole result of mjslq: {gist(error)}") from None
+    result = Result(**found)
+    try:
+        return checked(result)
+    except ValueError as error:
+        raise ValueError(f"{name} is not a whole result of mjslq: {error}") from None
 
 
-def _result_of(header: dict[str, Any], arrays: dict[str, Array]) -> Result:
+def _fields_of(header: dict[str, Any], arrays: dict[str, Array]) -> dict[str, Any]:
     scene = None
     if "scene_model" in arrays:
         columns = tuple(int(i) for i in arrays["scene_columns"])
         lines = tuple((float(m), float(o)) for m, o in arrays.get("scene_lines", np.zeros((0, 2))))
+        if arrays["scene_model"].dtype != np.uint8:
+            raise ValueError(f"scene_model must be bytes, got {describe(arrays['scene_model'])}")
         scene = Scene(arrays["scene_model"].tobytes(), columns, header["scene_name"], lines)
     named: dict[str, Any] = {kind: {} for kind in NAMED}
     for entry, array in arrays.items():
         kind, slash, name = entry.partition("/")
         if slash and kind in named:
             named[kind][name] = array
-    return Result(
+    return dict(
         **{name: header[name] for name in PLAIN if name not in ("names", "cost_terms")},
         cost_terms=header.get("cost_terms", {}),
         **named,

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjslq.validation import Array, as_array, frozen, refrozen
+from mjslq.validation import Array, as_array, count, frozen, refrozen
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,12 @@ class Trajectory:
         vars(self).update(refrozen(state))
 
     def __post_init__(self) -> None:
-        good = None if self.diverged_at is None else int(self.diverged_at)
         X = as_array("X", self.X, ("N + 1", "nx"), finite=False)
+        if not len(X):
+            raise ValueError("X must have at least one knot, got none")
+        good = self.diverged_at
+        if good is not None and count("diverged_at", good, at_least=0) >= len(X):
+            raise ValueError(f"diverged_at must be one of the knots 0 to {len(X) - 1}, got {good}")
         U = as_array("U", self.U, (len(X) - 1, "nu"), finite=False)
         Y = np.zeros((len(X), 0)) if np.size(self.Y) == 0 else as_array("Y", self.Y, (len(X), "ny"), finite=False)
         as_array("X", X[:good])

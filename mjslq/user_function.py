@@ -37,10 +37,12 @@ from mjslq.complex_step import (
     wrong_slopes,
 )
 from mjslq.native.users import is_compiled
-from mjslq.validation import Array, as_array
+from mjslq.validation import Array, as_array, describe, frozen, function, gist, numbers
 
 Derivative = Callable[..., Any] | None
 """A user's derivative, where one is given."""
+_NUMBERS = "iufc"
+"""Kinds of arrays that hold numbers, complex ones included."""
 _GENERIC = 0.6180339887498949
 """Entries of the point at which a function is called that is not defined at the origin."""
 
@@ -53,6 +55,7 @@ class UserFunction:
     """
 
     _remedy = "jacobian="
+    _derivative_name = "jacobian"
 
     def __init__(
         self,
@@ -64,12 +67,13 @@ class UserFunction:
         parameters: ArrayLike | None = None,
     ) -> None:
         self.name = f"{letter}(x, u, t)" if parameters is None else f"{letter}(x, u, t, p)"
-        if not callable(f):
-            raise ValueError(f"{self.name} must be a function, got {type(f).__name__}")
+        function(self.name, f)
+        if jacobian is not None:
+            function(self._derivative_name, jacobian)
         self._f, self._nx, self._nu, self._jacobian = f, nx, nu, jacobian
         self._p = () if parameters is None else (np.array(as_array("parameters", parameters, ("size",))),)
         value = self._at_origin()
-        if value.ndim > 1:
+        if value.ndim > 1 or not value.size:
             raise ValueError(f"{self.name} must return a number or numbers in a row (m,), got shape {value.shape}")
         self.size = value.size
         self._returns = _returned(self.name, f, len(self._p)) if is_compiled(f) else None
@@ -188,11 +192,13 @@ class UserFunction:
         return _kernels().compiled(plain, self._returns, len(self._p))
 
     def _value(self, z: Array, t: float) -> Array:
-        value = np.atleast_1d(np.asarray(self._f(z[: self._nx], z[self._nx :], t, *self._p)))
-        if value.shape != (self.size,):
+        given = self._f(z[: self._nx], z[self._nx :], t, *self._p)
+        value = np.atleast_1d(np.asarray(given))
+        if value.shape != (self.size,) or value.dtype.kind not in _NUMBERS:
+            came = f"shape {value.shape}" if value.dtype.kind in _NUMBERS else describe(given)
             raise ValueError(
                 f"{self.name} must return as many numbers at every knot as at the origin, ({self.size},), "
-                f"got shape {value.shape} at t = {t:g}"
+                f"got {came} at t = {t:g}"
             )
         return value
 
@@ -222,19 +228,22 @@ class UserFunction:
         plain = getattr(self._f, "py_func", self._f)  # which checks its indices
         errors: list[Exception] = []
         for number in (0.0, _GENERIC):
+            x, u = frozen(np.full(self._nx, number)), frozen(np.full(self._nu, number))
             try:
                 with np.errstate(all="ignore"):
-                    x, u = np.full(self._nx, number), np.full(self._nu, number)
-                    return np.asarray(plain(x, u, number, *self._p))
-            except (IndexError, ValueError, TypeError, ArithmeticError) as error:
+                    value = plain(x, u, number, *self._p)
+            except Exception as error:  # whatever f raises
                 errors.append(error)
-        raise ValueError(f"{self.name} fails for x of shape ({self._nx},): {errors[0]}") from None
+            else:
+                return numbers(self.name, value)
+        raise ValueError(f"{self.name} fails for x of shape ({self._nx},): {gist(errors[0])}") from errors[0]
 
 
 class UserCost(UserFunction):
     """A function that returns one number, with its derivatives in the forms that go with one."""
 
     _remedy = "gradient= and hessian="
+    _derivative_name = "gradient"
 
     def __init__(
         self,
@@ -247,7 +256,7 @@ class UserCost(UserFunction):
         parameters: ArrayLike | None = None,
     ) -> None:
         super().__init__(letter, f, nx, nu, gradient, parameters)
-        self._hessian = hessian
+        self._hessian = None if hessian is None else function("hessian", hessian)
 
     def hessians(self, Z: Array, times: Array, weights: Array) -> Array:
         """See `UserFunction.hessians`."""
@@ -263,9 +272,6 @@ class UserCost(UserFunction):
         assert self._jacobian is not None
         parts = self._jacobian(z[: self._nx], z[self._nx :], t, *self._p)
         return np.concatenate(checked("gradient", parts, [(self._nx,), (self._nu,)]))[None]
-
-    def _value(self, z: Array, t: float) -> Array:
-        return np.asarray(self._f(z[: self._nx], z[self._nx :], t, *self._p)).reshape(1)
 
     def _at_origin(self) -> Array:
         value = super()._at_origin()
@@ -299,10 +305,10 @@ def _returned(name: str, f: Any, parameters: int) -> Any:
     try:
         return _kernels().returns_of(f, parameters)
     except NumbaError as error:
-        raise ValueError(f"{name} cannot be compiled by numba: {_gist(error)}") from None
+        raise ValueError(f"{name} cannot be compiled by numba: {_reason(error)}") from None
 
 
-def _gist(error: Exception) -> str:
+def _reason(error: Exception) -> str:
     """The line of numba's message that says what is wrong."""
     lines = [line.strip() for line in str(error).splitlines()]
     return next((line for line in lines[1:] if line), lines[0] if lines else "")
@@ -310,8 +316,11 @@ def _gist(error: Exception) -> str:
 
 def checked(name: str, parts: Sequence[Any], shapes: Sequence[tuple[int, ...]]) -> list[Array]:
     """Return what a user's derivative gave, as arrays of the right shapes."""
-    arrays = [np.asarray(part, dtype=np.float64) for part in parts]
-    given = [array.shape for array in arrays]
+    try:
+        arrays = [np.asarray(part, dtype=np.float64) for part in parts]
+        given = [array.shape for array in arrays]
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must return shape {' and '.join(map(str, shapes))}, got {describe(parts)}") from None
     if given != list(shapes):
         raise ValueError(
             f"{name} must return shape {' and '.join(map(str, shapes))}, got {' and '.join(map(str, given))}"

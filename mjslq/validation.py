@@ -7,13 +7,16 @@ indefinite matrix is named where it enters (argument, step, expected, given) and
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
-from typing import Any
+import os
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Kind = TypeVar("Kind")
 
 
 def as_array(name: str, value: ArrayLike, shape: Sequence[int | str] | None = None, *, finite: bool = True) -> Array:
@@ -38,11 +41,11 @@ def as_array(name: str, value: ArrayLike, shape: Sequence[int | str] | None = No
 def _converted(name: str, value: ArrayLike) -> Array:
     try:
         given = np.asarray(value)
-        if given.dtype.kind == "c":
-            raise TypeError("complex")
+        if given.dtype.kind in "cUSmMV":
+            raise TypeError("complex numbers, texts, times or records")
         array = np.ascontiguousarray(given, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"{name} must be an array of numbers, got {_describe(value)}") from None
+        raise ValueError(f"{name} must be an array of numbers, got {describe(value)}") from None
     return array.reshape(given.shape)  # ascontiguousarray lifts scalars to one dimension
 
 
@@ -102,7 +105,7 @@ def positive(name: str, value: float) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
-        raise ValueError(f"{name} must be a number, got {_describe(value)}") from None
+        raise ValueError(f"{name} must be a number, got {describe(value)}") from None
     if not (np.isfinite(number) and number > 0.0):
         raise ValueError(f"{name} must be positive and finite, got {value}")
     return number
@@ -127,8 +130,52 @@ def finite(name: str, value: float) -> float:
 def count(name: str, value: Any, at_least: int = 1) -> int:
     """Return `value` as an int of at least `at_least`."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < at_least:
-        raise ValueError(f"{name} must be a whole number of at least {at_least}, got {_describe(value)}")
+        raise ValueError(f"{name} must be a whole number of at least {at_least}, got {describe(value)}")
     return int(value)
+
+
+def flag(name: str, value: Any) -> bool:
+    """Return `value` if it is True or False."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} must be True or False, got {describe(value)}")
+    return value
+
+
+def function(name: str, value: Any) -> Callable[..., Any]:
+    """Return `value` if it can be called."""
+    if not callable(value):
+        raise ValueError(f"{name} must be a function, got {describe(value)}")
+    called: Callable[..., Any] = value
+    return called
+
+
+def instance(name: str, value: Kind, kind: Any, called: str) -> Kind:
+    """Return `value` if it is of a kind, which the message calls `called`."""
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} must be {called}, got {describe(value)}")
+    return value
+
+
+def numbers(name: str, value: Any) -> NDArray[Any]:
+    """Return as an array what the function `name` has returned, or raise ValueError where it is no real numbers."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of unequal length
+        array = np.asarray(None)
+    if array.dtype.kind not in "iuf":
+        raise ValueError(f"{name} must return real numbers, got {describe(value)}")
+    return array
+
+
+def path_of(name: str, value: Any) -> Path:
+    """Return the path of a file or folder that `value` is."""
+    try:
+        text = os.fspath(value)
+    except TypeError:
+        text = b""
+    if not isinstance(text, str) or "\0" in text:
+        raise ValueError(f"{name} must be the path of a file, as text or pathlib.Path, got {describe(value)}")
+    return Path(text)
 
 
 def frozen(array: Array) -> Array:
@@ -156,8 +203,16 @@ def _refuse_first(name: str, constant: bool, wrong: NDArray[np.bool_], kind: str
         raise ValueError(f"{place} {kind}, but has {what} {measure[step]:.3g}")
 
 
-def _describe(value: Any) -> str:
+def describe(value: Any) -> str:
+    """The type of a value and the value, cut short, on one line: for messages."""
     return f"{type(value).__name__} {_short(value)}"
+
+
+def gist(error: BaseException) -> str:
+    """What an error says, on one line, with its type where it says little by itself."""
+    text = " ".join(str(error).split())
+    plain = isinstance(error, (ValueError, TypeError, ArithmeticError, IndexError)) and text
+    return text if plain else f"{type(error).__name__}: {text}".removesuffix(": ")
 
 
 def _short(value: Any) -> str:

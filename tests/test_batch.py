@@ -120,7 +120,7 @@ def test_a_file_of_another_problem_is_not_taken_for_this_ones(other, options, sa
 
 
 def test_errors_are_files_until_the_problem_is_solved(tmp_path):
-    list(mjslq.solve_many([pole()], Inline(), out=tmp_path, curvature="perhaps"))
+    list(mjslq.solve_many([pole()], Inline(), out=tmp_path, guess="perhaps"))
     file = tmp_path / "0000_pole.error.json"
     assert "perhaps" in json.loads(file.read_text())["error"]
     list(mjslq.solve_many([pole()], Inline(), out=tmp_path))

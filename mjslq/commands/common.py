@@ -5,9 +5,12 @@ from __future__ import annotations
 import ast
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from mjslq.result import Result
 
 Port = Annotated[int, typer.Option(help="Port of the viewer; the next free one is taken if it is busy.")]
 Host = Annotated[str, typer.Option(help="Address that the viewer listens on.")]
@@ -38,10 +41,44 @@ def refuse_model(what: str) -> None:
 
 def refuse_unwritable(file: Path) -> None:
     """Refuse, before hours of work, a file that cannot be written after them."""
-    if file.is_dir():
-        raise ValueError(f"cannot write {file}: it is a folder")
-    if not file.absolute().parent.is_dir():
-        raise ValueError(f"cannot write {file}: there is no folder {file.parent}")
+    import tempfile
+
+    from mjslq.files import writable
+
+    try:
+        with tempfile.TemporaryFile(dir=writable(file).parent):
+            pass
+    except OSError as error:
+        raise ValueError(f"cannot write {file}: {error.strerror or error}") from None
+
+
+def refuse_address(host: str, port: int) -> None:
+    """Refuse, before anything is solved, an address that its viewer cannot listen at."""
+    from mjslq.addresses import check_host, check_port
+
+    check_port(port)
+    check_host(host)
+
+
+def keep(result: Result, file: Path) -> None:
+    """Save a result; Ctrl-C waits for it, and where it fails after all it is saved among temporary files.
+
+    Raises ValueError, which says where it is then, and KeyboardInterrupt once it is saved.
+    """
+    import tempfile
+
+    from mjslq.solvers.interrupts import Interrupts
+
+    with Interrupts() as interrupts:
+        interrupts.hold()
+        try:
+            result.save(file)
+        except ValueError as error:
+            spare = Path(tempfile.mkdtemp(prefix="mjslq-")) / "result.npz"
+            result.save(spare)
+            raise ValueError(f"{error}; the result is in {spare}") from None
+    if interrupts.count:
+        raise KeyboardInterrupt
 
 
 def default_method() -> str:

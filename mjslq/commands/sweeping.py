@@ -47,6 +47,8 @@ def sweep(
     refuse_model(problem)
     choose("problem", problem, problems.names())
     count("seeds", seeds, at_least=0)
+    if workers is not None:
+        count("workers", workers)
     method = choose("method", method or default_method(), [*METHODS, *ALIASES])
     parameters, options = _ranges(settings or [], problem, option_names(method))
     grid = sweeping.points(parameters)

@@ -348,9 +348,9 @@ class Dynamics(ABC):
             raise ValueError(f"these dynamics have {len(dt)} steps of given length, but the horizon is {N}")
         return np.broadcast_to(dt, (N,))
 
-    def checked_start(self, x0: ArrayLike) -> Array:
-        """Return `x0` as a state (nx,), quaternions of unit length, or raise ValueError."""
-        return self.space.normalized(as_array("x0", x0, (self.nx,)))
+    def checked_start(self, x0: ArrayLike, name: str = "x0") -> Array:
+        """Return `x0` as a state (nx,), quaternions of unit length, or raise ValueError about `name`."""
+        return self.space.normalized(as_array(name, x0, (self.nx,)))
 
     def checked_controls(self, U: ArrayLike) -> Array:
         """Return `U` as controls (N, nu) or raise ValueError."""

@@ -29,11 +29,13 @@ from mjslq.dynamics import function_kernels as kernels
 from mjslq.dynamics.dynamics import Adjoint, Curvature, Dynamics, Feedback, Linearization, Sides
 from mjslq.dynamics.function_adjoint import adjoint_kernel, check_pullback
 from mjslq.dynamics.function_arguments import (
+    as_rows,
     checked_hessian,
     checked_jacobian,
     limits_of,
     names_of,
     plain,
+    tried,
     with_all_arguments,
 )
 from mjslq.dynamics.function_derivatives import Derivatives
@@ -41,7 +43,7 @@ from mjslq.dynamics.records import curvature_of, feedback_arguments
 from mjslq.manifold import StateSpace
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, as_array, choose, count
+from mjslq.validation import Array, as_array, choose, count, function, numbers
 
 Integrator = Literal["map", "euler", "semi-implicit-euler", "rk4"]
 _INTEGRATORS = {
@@ -138,13 +140,9 @@ class FunctionDynamics(Dynamics):
         else:
             self._given_jacobian = None
             choose("jacobian", jacobian, ("complex-step", "finite-difference"))
-        if hessian is not None and not callable(hessian):
-            raise ValueError(f"hessian must be a function of (x, u, t, costate), got {hessian!r}")
-        self._given_hessian = hessian
-        if not callable(f):
-            raise ValueError(f"f must be a function of (x, u), (x, u, t) or (x, u, t, p), got {f!r}")
+        self._given_hessian = None if hessian is None else function("hessian", hessian)
         self.compiled = isinstance(f, Dispatcher)
-        self._f, self._given = with_all_arguments(f, self.compiled), (f, outputs)
+        self._f, self._given = with_all_arguments(f, self.compiled, size=self.nx), (f, outputs)
         self._scene = scene
         self._probe()
         self._pullback = pullback
@@ -175,7 +173,7 @@ class FunctionDynamics(Dynamics):
         by_differences = state["_by_differences"]
         super().__setstate__({name: value for name, value in state.items() if name != "_by_differences"})
         f, outputs = self._given
-        self._f = with_all_arguments(f, self.compiled)
+        self._f = with_all_arguments(f, self.compiled, size=self.nx)
         self._read, self._reads_compiled, self.ny = self._reading(outputs)
         self._steps, self._readings = self._derivatives(*by_differences)
 
@@ -370,28 +368,18 @@ class FunctionDynamics(Dynamics):
             return lambda x, u, t, p: np.zeros(0), False, 0
         compiled = isinstance(outputs, Dispatcher)
         read = with_all_arguments(outputs, compiled, "outputs")
-        try:
-            with np.errstate(all="ignore"):
-                value = plain(read)(np.zeros(self.nx), np.zeros(self.nu), 0.0, self.parameters)
-            y = np.atleast_1d(np.asarray(value, dtype=np.float64))
-        except (IndexError, ValueError, TypeError) as error:
-            raise ValueError(
-                f"outputs fails for x of shape ({self.nx},) and u of shape ({self.nu},): {error}"
-            ) from None
+        value = tried("outputs", read, self.nx, self.nu, self.parameters)
+        y = np.atleast_1d(numbers("outputs", value))
         if y.ndim != 1:
             raise ValueError(f"outputs must return numbers in a row (ny,), got shape {y.shape}")
         if compiled and isinstance(value, (float, np.floating)):
             number = read
             return numba.njit(lambda x, u, t, p: np.array([number(x, u, t, p)])), True, 1
         compiled = compiled and isinstance(value, np.ndarray)
-        return read if compiled else lambda x, u, t, p: np.atleast_1d(plain(read)(x, u, t, p)), compiled, y.size
+        return read if compiled else as_rows("outputs", plain(read), y.size), compiled, y.size
 
     def _probe(self) -> None:
         """Call f once, so that a wrong shape is reported here and not from inside a rollout."""
-        try:
-            with np.errstate(all="ignore"):
-                value = np.asarray(plain(self._f)(np.zeros(self.nx), np.zeros(self.nu), 0.0, self.parameters))
-        except (IndexError, ValueError, TypeError) as error:
-            raise ValueError(f"f fails for x of shape ({self.nx},) and u of shape ({self.nu},): {error}") from None
+        value = numbers("f", tried("f", self._f, self.nx, self.nu, self.parameters))
         if value.shape != (self.nx,):
             raise ValueError(f"f must return shape ({self.nx},), got {value.shape}")

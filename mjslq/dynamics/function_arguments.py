@@ -9,8 +9,9 @@ from typing import Any
 import numba
 import numpy as np
 from numba.core.dispatcher import Dispatcher
+from numba.core.errors import NumbaError
 
-from mjslq.validation import Array, as_array
+from mjslq.validation import Array, as_array, describe, frozen, function, gist
 
 
 def plain(f: Callable[..., Any]) -> Callable[..., Any]:
@@ -19,18 +20,54 @@ def plain(f: Callable[..., Any]) -> Callable[..., Any]:
     return python
 
 
-def with_all_arguments(f: Callable[..., Any], compiled: bool, name: str = "f") -> Callable[..., Any]:
-    """Return f as a function of (x, u, t, p); plain functions return arrays whatever they are given as."""
-    given = _positional(plain(f))
+class WrongReturn(ValueError):
+    """A sentence about what a user's function returned."""
+
+
+def with_all_arguments(
+    f: Callable[..., Any], compiled: bool, name: str = "f", size: int | None = None
+) -> Callable[..., Any]:
+    """Return f as a function of (x, u, t, p); plain functions return arrays (size,) whatever they are given as."""
+    given = _positional(function(name, plain(f)))
     if given not in (2, 3, 4):
         raise ValueError(f"{name} must take (x, u), (x, u, t) or (x, u, t, p), but takes {given} arguments")
     if compiled:
+        _refuse_uncompilable(name, f, given)
         if given == 4:
             return f
         if given == 3:
             return numba.njit(lambda x, u, t, p: f(x, u, t))
         return numba.njit(lambda x, u, t, p: f(x, u))
-    return lambda x, u, t, p: np.asarray(f(*(x, u, t, p)[:given]))
+
+    def checked(x: Array, u: Array, t: float, p: Array) -> Any:
+        value = f(*(x, u, t, p)[:given])
+        array = value if isinstance(value, np.ndarray) else _array_of(value)
+        if array.dtype.kind not in "iufc":
+            raise WrongReturn(f"{name} must return numbers, got {describe(value)} at t = {t:g}")
+        if size is not None and array.shape != (size,):
+            raise WrongReturn(f"{name} must return shape ({size},), got {array.shape} at t = {t:g}")
+        return array
+
+    return checked
+
+
+def as_rows(name: str, f: Callable[..., Any], size: int) -> Callable[..., Any]:
+    """Return f as a function whose numbers come in a row (size,), at every knot as many."""
+
+    def checked(x: Array, u: Array, t: float, p: Array) -> Any:
+        row = np.atleast_1d(f(x, u, t, p))
+        if row.shape != (size,):
+            raise WrongReturn(f"{name} must return shape ({size},), got {row.shape} at t = {t:g}")
+        return row
+
+    return checked
+
+
+def _array_of(value: Any) -> Any:
+    try:
+        return np.asarray(value)
+    except ValueError:  # rows of unequal length
+        return np.asarray(None)
 
 
 def limits_of(given: Any, nu: int) -> Array:
@@ -67,25 +104,63 @@ def names_of(name: str, given: Sequence[str] | None, letter: str, size: int) -> 
     """Names as given, or letters with indices; ValueError where there are not as many as there are entries."""
     if given is None:
         return tuple(f"{letter}[{i}]" for i in range(size))
+    if isinstance(given, str) or not isinstance(given, Sequence):
+        raise ValueError(f"{name} must be a list of {size} names, got {describe(given)}")
     if len(given) != size:
         raise ValueError(f"{name} must have {size} entries, got {len(given)}")
+    for i, one in enumerate(given):
+        if not isinstance(one, str) or not one or one in given[:i]:
+            raise ValueError(f"{name} must be texts that differ from each other, got {describe(one)} at {i}")
     return tuple(given)
 
 
 def checked_hessian(parts: Any, nx: int, nu: int) -> Array:
     """H by (x, u) from the three blocks that a user's hessian returns. Raises ValueError."""
     wanted = [(nx, nx), (nu, nx), (nu, nu)]
-    if [np.shape(part) for part in parts] != wanted:
-        given = ", ".join(str(np.shape(part)) for part in parts)
-        raise ValueError(f"hessian must return H_xx, H_ux and H_uu of shapes {wanted}, got {given}")
+    if (given := _shapes(parts)) != wanted:
+        came = describe(parts) if given is None else ", ".join(map(str, given))
+        raise ValueError(f"hessian must return H_xx, H_ux and H_uu of shapes {wanted}, got {came}")
     xx, ux, uu = (np.asarray(part, dtype=np.float64) for part in parts)
     return np.block([[xx, ux.T], [ux, uu]])
 
 
 def checked_jacobian(parts: Any, nx: int, nu: int) -> tuple[Any, Any]:
     """A and B as a user's jacobian returns them. Raises ValueError."""
+    wanted = [(nx, nx), (nx, nu)]
+    if (given := _shapes(parts)) != wanted:
+        came = describe(parts) if given is None else " and ".join(map(str, given))
+        raise ValueError(f"jacobian must return A and B of shapes {' and '.join(map(str, wanted))}, got {came}")
     A, B = parts
-    given, wanted = f"{np.shape(A)} and {np.shape(B)}", f"{(nx, nx)} and {(nx, nu)}"
-    if given != wanted:
-        raise ValueError(f"jacobian must return A and B of shapes {wanted}, got {given}")
     return A, B
+
+
+def tried(name: str, f: Callable[..., Any], nx: int, nu: int, parameters: Array) -> Any:
+    """What f(x, u, t, p) returns at the origin, where it cannot write into x and u. Raises ValueError if it fails."""
+    try:
+        with np.errstate(all="ignore"):
+            return plain(f)(frozen(np.zeros(nx)), frozen(np.zeros(nu)), 0.0, parameters)
+    except WrongReturn:
+        raise
+    except Exception as error:  # whatever f raises
+        raise ValueError(f"{name} fails for x of shape ({nx},) and u of shape ({nu},): {gist(error)}") from error
+
+
+def _shapes(parts: Any) -> list[tuple[int, ...]] | None:
+    """Shapes of the arrays in a tuple or list; None for anything else."""
+    if not isinstance(parts, (tuple, list)):
+        return None
+    try:
+        return [np.shape(part) for part in parts]
+    except ValueError:  # rows of unequal length
+        return None
+
+
+def _refuse_uncompilable(name: str, f: Callable[..., Any], arguments: int) -> None:
+    """Have numba compile a function for real numbers. Raises ValueError where it cannot, with numba's reason."""
+    vector = numba.float64[::1]
+    try:
+        f.compile((vector, vector, numba.float64, vector)[:arguments])  # type: ignore[attr-defined]
+    except NumbaError as error:
+        lines = [line.strip() for line in str(error).splitlines()]
+        reason = next((line for line in lines[1:] if line), lines[0] if lines else "")
+        raise ValueError(f"{name} cannot be compiled by numba: {reason}") from None

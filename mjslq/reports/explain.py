@@ -22,6 +22,7 @@ from mjslq.reports import in_force, limits
 from mjslq.reports.touches import Touch, touches
 from mjslq.result import Result
 from mjslq.status import Status
+from mjslq.validation import instance
 
 MOST = 6
 """Entries of a list, the largest first."""
@@ -82,7 +83,8 @@ def explain(result: Result, problem: Problem | None = None) -> Explanation:
     ValueError
         When the problem's sizes are not those of the result.
     """
-    check = None if problem is None else _checked(result, problem)
+    instance("result", result, Result, "a mjslq.Result")
+    check = None if problem is None else _checked(result, instance("problem", problem, Problem, "a mjslq.Problem"))
     touched = [] if result.scene is None else touches(result)
     sections = [
         Section("ending", _ending(result)),

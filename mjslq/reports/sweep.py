@@ -56,6 +56,8 @@ def values(name: str, text: str, read: Callable[[str], Any]) -> list[Any]:
 
     Raises ValueError for ranges that are no numbers, have no step or no values.
     """
+    if not text.strip():
+        raise ValueError(f"{name} takes a value, values with commas or a range, such as 1:50:5, got nothing")
     parts = text.split(":")
     if len(parts) in (2, 3) and all(_is_number(part) for part in parts):
         first, last, *rest = (read(part) for part in parts)

@@ -30,6 +30,8 @@ from mjslq.solvers.steps import rolled_out
 from mjslq.status import Status
 from mjslq.validation import Array
 
+_NO_DIRECTION = "There is no descent direction: {error}. Give each control a cost, such as mjslq.costs.Control(1e-3)."
+
 
 @dataclass
 class Outcome:
@@ -90,7 +92,9 @@ def _descend(
         try:
             ahead = method.direction(here)
         except NotPositiveDefinite as error:
-            outcome.status, outcome.remark = Status.STEP_TOO_SMALL, f"There is no descent direction: {error}."
+            outcome.status, outcome.remark = Status.STEP_TOO_SMALL, _NO_DIRECTION.format(error=error)
+            if here.gaps is None and method.accepts(here) and here.gradient_norm <= stopping.tol_gradient:
+                outcome.status, outcome.remark = Status.CONVERGED, _stationary(here, stopping)
             return
         outcome.gains = ahead.K
         merit.update(here, ahead)
@@ -124,10 +128,7 @@ def _converged(here: Iterate, ahead: Direction, method: Method, stopping: Stoppi
     if here.gaps is not None or not method.accepts(here):
         return ""
     if here.gradient_norm <= stopping.tol_gradient:
-        return (
-            f"The norm of the projected gradient, {here.gradient_norm:.1e}, is within tol_gradient = "
-            f"{stopping.tol_gradient:g}."
-        )
+        return _stationary(here, stopping)
     length, size = float(np.linalg.norm(ahead.U)), float(np.linalg.norm(here.trajectory.U))
     if here.problem.free_start is not None:  # x_0 is an unknown beside the controls
         length = float(np.hypot(length, np.linalg.norm(ahead.X[0])))
@@ -140,6 +141,13 @@ def _converged(here: Iterate, ahead: Direction, method: Method, stopping: Stoppi
             f"{stopping.tol_direction:g}."
         )
     return ""
+
+
+def _stationary(here: Iterate, stopping: Stopping) -> str:
+    return (
+        f"The norm of the projected gradient, {here.gradient_norm:.1e}, is within tol_gradient = "
+        f"{stopping.tol_gradient:g}."
+    )
 
 
 def _entry(monitor: Monitor, merit: Merit, here: Iterate, ahead: Direction, step: Step, tried: bool) -> IterationLog:

@@ -34,11 +34,18 @@ class Monitor:
         self.steps += entry.outcome == "accepted"
         if self.keep_iterates:
             self.iterates.append(trajectory)
-        if self.verbose:
-            if (len(self.log) - 1) % 20 == 0:
-                print(_HEADER, file=self.stream)
-            print(_line(entry), file=self.stream, flush=True)
+        if (len(self.log) - 1) % 20 == 0:
+            self.say(_HEADER)
+        self.say(_line(entry))
         return bool(self.callback is not None and self.callback(entry))
+
+    def say(self, line: str) -> None:
+        """Print a line if `verbose`; a stream that cannot be written to any more ends that, and not the solve."""
+        if self.verbose:
+            try:
+                print(line, file=self.stream, flush=True)
+            except (OSError, ValueError):  # the reader of a pipe has gone, the disk is full, the file was closed
+                self.verbose = 0
 
     @property
     def seconds(self) -> float:

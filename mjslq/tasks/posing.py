@@ -90,7 +90,7 @@ class Poser:
         if task.duration is None:
             assert task.horizon is not None
             return task.horizon
-        N = round(task.duration / dt)
+        N = round(task.duration / dt) if np.isfinite(task.duration) else 0
         if N < 1 or abs(N * dt - task.duration) > 1e-6 * task.duration:
             what = f"must be a multiple of the step, {dt:g} s, got {task.duration:g}"
             raise TaskError(self.source.sentence(("duration",), what))
@@ -290,6 +290,8 @@ class Poser:
         for joint, (low, high) in limits.items():
             entry, _ = self._direction(joint, given.of)
             lower[entry], upper[entry] = low + given.margin, high - given.margin
+            if not low <= high:
+                raise ValueError(f"limits of {joint!r} must be [lower, upper] with lower <= upper, got {[low, high]}")
             if lower[entry] > upper[entry]:
                 raise ValueError(f"a margin of {given.margin:g} leaves nothing of {joint!r}, {low:g} to {high:g}")
         return lower, upper

@@ -18,7 +18,7 @@ from pydantic.fields import FieldInfo
 
 from mjslq.tasks.lines import Place, line_at, lines_of
 from mjslq.tasks.schema import Says, TaskFile
-from mjslq.validation import choose
+from mjslq.validation import choose, path_of
 
 _KINDS = {float: "a number", int: "a whole number", str: "a text", bool: "true or false", dict: "a table"}
 
@@ -53,14 +53,16 @@ class TaskError(ValueError):
 
 def read(path: str | Path) -> tuple[TaskFile, Source]:
     """Read and check a task file. Raises `TaskError`, one sentence, where it cannot be read or does not fit."""
-    file = Path(path).expanduser()
+    file = path_of("path", path).expanduser()
     if not file.is_file():
         kind = "is a folder" if file.is_dir() else "does not exist"
         raise TaskError(f"task file {str(path)!r} {kind}; `mjslq new MODEL` writes one to begin with")
     try:
-        text = file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise TaskError(f"{file.name} is no text file") from None
+    except OSError as error:
+        raise TaskError(f"cannot read {file}: {error.strerror or error}") from None
     return parse(text, file.name)
 
 
@@ -68,8 +70,10 @@ def parse(text: str, name: str = "the task") -> tuple[TaskFile, Source]:
     """Check the text of a task file called `name`; see `read`."""
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise TaskError(f"{name} is no valid TOML: {error}") from None
+    except ValueError as error:  # numbers of thousands of digits are another kind than `TOMLDecodeError`
+        raise TaskError(f"{name} is no valid TOML: {' '.join(str(error).split())}") from None
+    except RecursionError:
+        raise TaskError(f"{name} is no valid TOML: it is nested too deeply") from None
     source = Source(name, lines_of(text))
     try:
         return TaskFile.model_validate(data), source
@@ -204,7 +208,8 @@ def _key(place: Sequence[str | int]) -> str:
     """`place` as one would write it: costs[1].weight."""
     text = ""
     for part in place:
-        text += f"[{part}]" if isinstance(part, int) else f"{'.' if text else ''}{part}"
+        key = part if isinstance(part, int) or part.isprintable() else repr(part)
+        text += f"[{key}]" if isinstance(part, int) else f"{'.' if text else ''}{key}"
     return text
 
 

@@ -36,7 +36,7 @@ def text_for(model: str, folder: Path) -> str:
     """The text of a task file in `folder` for `model`, as a task file names it. Raises ValueError."""
     given = {"model": model, "horizon": 1, "costs": [{"kind": "control", "weight": 1.0}]}
     file = TaskFile.model_validate(given)
-    source = Source("mjslq new", {})
+    source = Source("", {})
     is_urdf = not model.lower().endswith((".xml", ".mjb")) and not model.startswith(engines.MENAGERIE)
     dynamics: Any = engines.make(file, folder, source)
     if is_urdf:

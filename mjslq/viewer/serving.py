@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 from abc import ABC, abstractmethod
 from typing import Self, TypeVar
 
 import viser
 
-from mjslq.validation import count
+from mjslq.addresses import check_host, check_port
 from mjslq.viewer.scene import quiet
 
 
@@ -21,9 +20,7 @@ class Served(ABC):
 
     def __init__(self, host: str, port: int) -> None:
         """Serve at `host`:`port`, or at the next free port, from `start` on."""
-        self._host, self._wanted_port = host, count("port", port)
-        if port > 65535:
-            raise ValueError(f"port must be at most 65535, got {port}")
+        self._host, self._wanted_port = host, check_port(port)
         self._lock, self._ended = threading.RLock(), threading.Event()
         self._server: viser.ViserServer | None = None
 
@@ -64,7 +61,7 @@ class Served(ABC):
     def _open(self) -> viser.ViserServer:
         """Open the server. Raises ValueError for an address of another machine."""
         self._ended.clear()
-        _refuse_foreign_host(self._host)
+        check_host(self._host)  # at that of another machine Viser would wait for ever
         with quiet():
             self._server = viser.ViserServer(self._host, self._wanted_port, label="mjslq", verbose=False)
         return self._server
@@ -83,13 +80,3 @@ def present(shown: Shown, block: bool) -> Shown:
     except KeyboardInterrupt:
         shown.stop()
     return shown
-
-
-def _refuse_foreign_host(host: str) -> None:
-    """Refuse an address that is none of this machine's, at which Viser would wait for ever."""
-    try:
-        family, kind, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind) as trial:
-            trial.bind(address)
-    except OSError as error:
-        raise ValueError(f"the viewer cannot listen at {host!r}: {error.strerror or error}") from None

@@ -6,8 +6,9 @@ import copy
 from collections.abc import Callable
 
 import mujoco
+import numpy as np
 
-from mjslq.validation import choose
+from mjslq.validation import choose, positive
 
 INTEGRATORS = {
     "Euler": mujoco.mjtIntegrator.mjINT_EULER,
@@ -21,6 +22,9 @@ _NO_INERTIA = 1e-11
 """Inertia that a joint has only because the compiler gives massless bodies a tiny one."""
 _MANY = 200
 """Iterations after which a constraint solver has converged."""
+_UNFELT = ("_", "cam_", "light_", "mat_", "tex_", "skin_", "numeric_", "tuple_", "key_", "bvh_", "oct_")
+"""Beginnings of the names of fields that no step depends on, or that follow from others. Keyframes are checked where
+they are used."""
 _CALLBACKS = ("control", "passive", "act_dyn", "act_gain", "act_bias", "sensor", "contactfilter")
 
 REFUSALS: tuple[tuple[Callable[[mujoco.MjModel], bool], str], ...] = (
@@ -50,7 +54,23 @@ def refuse_unsupported(model: mujoco.MjModel) -> None:
     for is_so, reason in REFUSALS:
         if is_so(model):
             raise ValueError(f"this model is not supported: {reason}")
+    _refuse_wrong_numbers(model)
     refuse_callbacks()
+
+
+def _refuse_wrong_numbers(model: mujoco.MjModel) -> None:
+    """Refuse numbers that MuJoCo's compiler lets pass, or that were written into a compiled model."""
+    positive("the model's timestep", model.opt.timestep)
+    for owner, prefix in ((model, ""), (model.opt, "opt.")):
+        for field in dir(owner):
+            array = None if field.startswith(_UNFELT) else getattr(owner, field)
+            if isinstance(array, np.ndarray) and array.dtype.kind == "f" and np.isnan(array).any():
+                at = "".join(f"[{i}]" for i in np.argwhere(np.isnan(array))[0])
+                raise ValueError(f"the model must be finite, but {prefix}{field}{at} is nan")
+    for i, (low, high) in enumerate(model.actuator_ctrlrange.tolist()):
+        if low > high:  # which MuJoCo takes for no limits
+            name = model.actuator(i).name or str(i)
+            raise ValueError(f"actuator {name!r} must have a ctrlrange from low to high, got {low:g} {high:g}")
 
 
 def with_converged_solver(model: mujoco.MjModel) -> mujoco.MjModel | None:

@@ -96,6 +96,8 @@ class PinocchioDynamics(Dynamics):
         if followers:
             self.model, self._ties = tie(free, followers)
             self.damping = self._ties.reduced(self.damping)
+        if not self.model.nv:
+            raise ValueError("this model is not supported: it has no joints that are not locked, so nothing can move")
         models.refuse_massless(self.model)
         self._actuated, self.control_names = models.actuated_dofs(self.model, actuated)
         self._readings = Readings(free, outputs)

@@ -1,0 +1,20 @@
+"""`python -m mjslq`, and the program `mjslq`: the command line, where Ctrl-C ends even what is still being imported."""
+
+from __future__ import annotations
+
+import sys
+
+
+def main() -> None:
+    """Run the command line; see `mjslq.cli`."""
+    try:
+        from mjslq.cli import main as run
+
+        run()
+    except KeyboardInterrupt:
+        print("mjslq: interrupted", file=sys.stderr)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()
