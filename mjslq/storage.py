@@ -26,7 +26,7 @@ from mjslq.lie_groups import MOTION, ROTATION, SLIDE, TURN, Group
 from mjslq.log import IterationLog
 from mjslq.manifold import StateSpace
 from mjslq.result import Result
-from mjslq.scene import Scene
+from mjslq.scene import Marker, Scene
 from mjslq.status import Status
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
@@ -71,6 +71,7 @@ def save(result: Result, path: str | os.PathLike[str]) -> None:
         "status": result.status.value,
         "log": [asdict(entry) for entry in result.log],
         "scene_name": None if result.scene is None else result.scene.name,
+        "scene_markers": [] if result.scene is None else [asdict(marker) for marker in result.scene.markers],
         "contact": None if result.contact is None else asdict(result.contact),
     }
     with atomic_write(path) as stream:
@@ -106,7 +107,8 @@ def _result_of(header: dict[str, Any], arrays: dict[str, Array]) -> Result:
     if "scene_model" in arrays:
         columns = tuple(int(i) for i in arrays["scene_columns"])
         lines = tuple((float(m), float(o)) for m, o in arrays.get("scene_lines", np.zeros((0, 2))))
-        scene = Scene(arrays["scene_model"].tobytes(), columns, header["scene_name"], lines)
+        markers = tuple(Marker(m["name"], tuple(m["position"])) for m in header.get("scene_markers", ()))
+        scene = Scene(arrays["scene_model"].tobytes(), columns, header["scene_name"], lines, markers)
     named: dict[str, Any] = {kind: {} for kind in NAMED}
     for entry, array in arrays.items():
         kind, slash, name = entry.partition("/")

@@ -191,6 +191,11 @@ class PinocchioDynamics(Dynamics):
         """Frames' positions and orientations by name."""
         return self._readings.outputs
 
+    @property
+    def places(self) -> frozenset[str]:
+        """See `Dynamics.places`."""
+        return frozenset(name for name, output in self.outputs.items() if not output.quaternion)
+
     def holding_controls(self, x: ArrayLike) -> Array:
         """Controls under which the robot keeps the configuration of `x` at rest, gravity balanced. Shape (nu,).
 
