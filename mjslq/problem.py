@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -29,6 +29,7 @@ from mjslq.lq.problem import Mask
 from mjslq.options import check as check_options
 from mjslq.residuals import Slopes
 from mjslq.scene import Scene
+from mjslq.markers import markers
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array, count, describe, finite, frozen, function, instance, refrozen
 
@@ -318,7 +319,9 @@ class Problem:
 
     def scene(self) -> Scene | None:
         """What a viewer draws for this problem."""
-        return self.dynamics.scene() if self.drawing is None else self.drawing
+        scene = self.dynamics.scene() if self.drawing is None else self.drawing
+        marked = markers(self.costs, self.dynamics)
+        return replace(scene, markers=marked) if scene is not None and marked else scene
 
     def checked_controls(self, U: ArrayLike, name: str = "U0") -> Array:
         """Return `U` as (N, nu); one control (nu,) is held over the horizon."""

@@ -10,6 +10,16 @@ from mjslq.validation import Array
 
 
 @dataclass(frozen=True)
+class Marker:
+    """A place where a cost wants a frame or a sensor to be."""
+
+    name: str
+    """Of the frame or sensor."""
+    position: tuple[float, float, float]
+    """In the world. [m]"""
+
+
+@dataclass(frozen=True)
 class Scene:
     """What a viewer needs to draw a trajectory; kept inside saved results."""
 
@@ -22,6 +32,8 @@ class Scene:
     """The model's name, for titles."""
     lines: tuple[tuple[float, float], ...] = ()
     """(m, o) of each entry of qpos, which is m x + o, as of joints that mimic others; empty where all are (1, 0)."""
+    markers: tuple[Marker, ...] = ()
+    """Targets of the problem's costs."""
 
     def poses(self, X: Array) -> Array:
         """Joint positions qpos of the model along the states `X` (N + 1, nx). Shape (N + 1, nq)."""

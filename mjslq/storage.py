@@ -27,7 +27,7 @@ from mjslq.lie_groups import MOTION, ROTATION, SLIDE, TURN, Group
 from mjslq.log import IterationLog
 from mjslq.manifold import StateSpace
 from mjslq.result import Result
-from mjslq.scene import Scene
+from mjslq.scene import Marker, Scene
 from mjslq.status import Status
 from mjslq.stored import checked
 from mjslq.trajectory import Trajectory
@@ -76,6 +76,7 @@ def save(result: Result, path: str | os.PathLike[str]) -> None:
         "status": result.status.value,
         "log": [asdict(entry) for entry in result.log],
         "scene_name": None if result.scene is None else result.scene.name,
+        "scene_markers": [] if result.scene is None else [asdict(marker) for marker in result.scene.markers],
         "contact": None if result.contact is None else asdict(result.contact),
     }
     with atomic_write(path) as stream:
@@ -126,7 +127,8 @@ def _fields_of(header: dict[str, Any], arrays: dict[str, Array]) -> dict[str, An
         lines = tuple((float(m), float(o)) for m, o in arrays.get("scene_lines", np.zeros((0, 2))))
         if arrays["scene_model"].dtype != np.uint8:
             raise ValueError(f"scene_model must be bytes, got {describe(arrays['scene_model'])}")
-        scene = Scene(arrays["scene_model"].tobytes(), columns, header["scene_name"], lines)
+        markers = tuple(Marker(m["name"], tuple(m["position"])) for m in header.get("scene_markers", ()))
+        scene = Scene(arrays["scene_model"].tobytes(), columns, header["scene_name"], lines, markers)
     named: dict[str, Any] = {kind: {} for kind in NAMED}
     for entry, array in arrays.items():
         kind, slash, name = entry.partition("/")

@@ -109,6 +109,11 @@ class Dynamics(ABC):
         raise ValueError(f"{type(self).__name__} has no frames; use costs.Sensor or costs.Residual")
 
     @property
+    def places(self) -> frozenset[str]:
+        """Names of the outputs that are points in the world [m], whose targets a viewer marks."""
+        return frozenset()
+
+    @property
     def initial_control(self) -> Array:
         """Controls that a problem starts from unless told otherwise: those of an engine at rest. Shape (nu,)."""
         return np.zeros(self.nu)

@@ -20,7 +20,12 @@ __all__ = ["Player", "export_html", "live", "view"]
 
 
 def view(
-    result: Result, host: str = "127.0.0.1", port: int = 8080, block: bool = True, beside: Sequence[Result] = ()
+    result: Result,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    block: bool = True,
+    beside: Sequence[Result] = (),
+    dark: bool = False,
 ) -> Player:
     """Show `result` in a browser: the motion, its plots, and the iterations that led to it.
 
@@ -34,12 +39,14 @@ def view(
         Stay until Ctrl-C. Otherwise return at once; the caller stops the `Player` returned.
     beside
         Results of other methods on the same problem: their costs are plotted with this one's.
+    dark
+        Whether the page is dark at first; it has a switch.
 
     """
     from mjslq.viewer.player import Player
     from mjslq.viewer.serving import present
 
-    return present(Player(result, host, port, beside=beside), block)
+    return present(Player(result, host, port, beside=beside, dark=dark), block)
 
 
 def live(

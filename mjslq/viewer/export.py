@@ -67,7 +67,7 @@ def _recording(result: Result) -> str:
     with quiet():
         server = viser.ViserServer("127.0.0.1", label="mjslq", verbose=False)
     try:
-        view = SceneView(server, result.scene, result.trajectory, _ASPECT, recorded=True)
+        view = SceneView(server, result.scene, result.trajectory, _ASPECT, contact=result.contact)
         duration = float(result.trajectory.times[-1])
         frames = int(np.clip(math.ceil(duration * _FRAME_RATE), 2, _MOST_FRAMES))
         recorder = server.get_scene_serializer()

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjslq.validation import Array
+from mjslq.viewer import textures
 
 Faces = NDArray[np.intp]
 
@@ -27,7 +28,7 @@ _AROUND = 32  # segments of a full turn
 
 @dataclass(frozen=True)
 class Piece:
-    """All triangles of one body that share a colour."""
+    """All triangles of one body and group that share a colour and a texture."""
 
     body: int
     """Index of the body."""
@@ -36,7 +37,29 @@ class Piece:
     faces: Faces
     """Vertex indices of each triangle. Shape (m, 3)."""
     rgba: tuple[float, float, float, float]
-    """Colour and opacity in [0, 1]."""
+    """Colour and opacity in [0, 1]; of what has a texture, its mean colour."""
+    group: int = 0
+    """MuJoCo's group, 0 to 5."""
+    site: bool = False
+    """Whether it marks sites, and is no body's surface."""
+    cover: Cover | None = None
+    """Its texture."""
+
+
+@dataclass(frozen=True)
+class Cover:
+    """A texture laid on triangles."""
+
+    texture: int
+    """Index of the texture."""
+    tint: tuple[float, float, float, float]
+    """Colour and opacity that the image is multiplied by."""
+    shininess: float
+    """Of the material, in [0, 1]."""
+    coordinates: Array
+    """(s, t) of each vertex; see `textures`. Shape (n, 2)."""
+    normals: Array
+    """Of each vertex. Shape (n, 3)."""
 
 
 @dataclass(frozen=True)
@@ -53,47 +76,52 @@ class Plane:
     """Full extent along the local x and y; 0 for infinite. [m]"""
     rgb: tuple[float, float, float] | None
     """Colour in [0, 1]; None when the model chose none."""
+    group: int = 0
+    """MuJoCo's group, 0 to 5."""
 
 
-def pieces(model: Any) -> list[Piece]:
-    """Return what is visible of `model`, but for its planes: one piece per body and colour."""
-    parts: dict[tuple[int, tuple[float, float, float, float]], list[tuple[Array, Faces]]] = {}
-    for geom in visible_geoms(model):
+def pieces(model: Any, groups: tuple[int, ...] | None = None) -> list[Piece]:
+    """Return geoms, but for planes, and sites: one piece per body, group, colour and texture.
+
+    Those of some `groups`, or what is visible from the start.
+    """
+    parts: dict[tuple[Any, ...], list[_Part]] = {}
+    for geom in visible_geoms(model) if groups is None else np.flatnonzero(np.isin(model.geom_group, groups)):
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
             continue
-        body = int(model.geom_bodyid[geom])
-        rgba = _color(model, model.geom_rgba[geom], int(model.geom_matid[geom]), model.body_weldid[body] != 0)
-        vertices, faces = geom_mesh(model, geom)
-        placed = _placed(vertices, model.geom_pos[geom], model.geom_quat[geom])
-        if rgba[3] > 0.0 and len(faces):
-            parts.setdefault((body, rgba), []).append((placed, faces))
-    for site in range(model.nsite):
+        body, material = int(model.geom_bodyid[geom]), int(model.geom_matid[geom])
+        rgba = color_of(model, model.geom_rgba[geom], material, model.body_weldid[body] != 0)
+        part = _part(model, int(geom))
+        if rgba[3] > 0.0 and len(part.faces):
+            key = (body, int(model.geom_group[geom]), rgba, False, material if part.coordinates is not None else -1)
+            parts.setdefault(key, []).append(part.placed(model.geom_pos[geom], model.geom_quat[geom]))
+    for site in np.flatnonzero(np.isin(model.site_group, SHOWN_GROUPS if groups is None else groups)):
         body = int(model.site_bodyid[site])
-        rgba = _color(model, model.site_rgba[site], int(model.site_matid[site]), model.body_weldid[body] != 0)
-        if model.site_group[site] not in SHOWN_GROUPS or rgba[3] == 0.0:
-            continue
-        vertices, faces = _SHAPES[mujoco.mjtGeom(model.site_type[site])](model.site_size[site])
-        placed = _placed(vertices, model.site_pos[site], model.site_quat[site])
-        parts.setdefault((body, rgba), []).append((placed, faces))
-    return [Piece(body, *_joined(meshes), rgba) for (body, rgba), meshes in parts.items()]
+        rgba = color_of(model, model.site_rgba[site], int(model.site_matid[site]), model.body_weldid[body] != 0)
+        if rgba[3] > 0.0:
+            part = _Part(*_SHAPES[mujoco.mjtGeom(model.site_type[site])](model.site_size[site]))
+            key = (body, int(model.site_group[site]), rgba, True, -1)
+            parts.setdefault(key, []).append(part.placed(model.site_pos[site], model.site_quat[site]))
+    return [_joined(model, *key, joined=some) for key, some in parts.items()]
 
 
-def planes(model: Any) -> list[Plane]:
-    """Return the visible planes of `model`."""
+def planes(model: Any, groups: tuple[int, ...] | None = None) -> list[Plane]:
+    """Return the planes of some `groups`, or those that are visible from the start."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     found = []
-    for geom in visible_geoms(model):
+    for geom in visible_geoms(model) if groups is None else np.flatnonzero(np.isin(model.geom_group, groups)):
         if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_PLANE:
             continue
-        rgba = _color(model, model.geom_rgba[geom], int(model.geom_matid[geom]), moving=False)
+        rgba = color_of(model, model.geom_rgba[geom], int(model.geom_matid[geom]), moving=False)
         wxyz = np.zeros(4)
         mujoco.mju_mat2Quat(wxyz, data.geom_xmat[geom])
         half = model.geom_size[geom]
         chosen = model.geom_matid[geom] >= 0 or not np.allclose(model.geom_rgba[geom], _UNSET)
         if rgba[3] > 0.0:
             size = (2.0 * float(half[0]), 2.0 * float(half[1]))
-            found.append(Plane(geom, data.geom_xpos[geom].copy(), wxyz, size, rgba[:3] if chosen else None))
+            rgb = rgba[:3] if chosen else None
+            found.append(Plane(int(geom), data.geom_xpos[geom].copy(), wxyz, size, rgb, int(model.geom_group[geom])))
     return found
 
 
@@ -111,6 +139,11 @@ def geom_mesh(model: Any, geom: int) -> tuple[Array, Faces]:
     if kind == mujoco.mjtGeom.mjGEOM_HFIELD:
         return _height_field(model, int(model.geom_dataid[geom]))
     return _SHAPES[kind](model.geom_size[geom])
+
+
+def geom_ball(radius: float) -> tuple[Array, Faces]:
+    """Return vertices (n, 3) [m] and faces (m, 3) of a ball."""
+    return _sphere(np.array([radius]))
 
 
 def _sphere(size: Array) -> tuple[Array, Faces]:
@@ -176,12 +209,24 @@ def _box(size: Array) -> tuple[Array, Faces]:
 
 def _mesh(model: Any, mesh: int) -> tuple[Array, Faces]:
     """Return a mesh asset, with a vertex for each pair of position and normal that a face uses."""
+    vertices, faces, _ = _mesh_with_coordinates(model, mesh, textured=False)
+    return vertices, faces
+
+
+def _mesh_with_coordinates(model: Any, mesh: int, textured: bool) -> tuple[Array, Faces, Array | None]:
+    """Return a mesh asset, and the coordinates of its texture where it has some and they are asked for."""
     start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     vertices = model.mesh_vert[start : start + count].astype(float)
     rows = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
-    corners = np.stack([model.mesh_face[rows].ravel(), model.mesh_facenormal[rows].ravel()], axis=1)
-    pairs, index = np.unique(corners, axis=0, return_inverse=True)
-    return vertices[pairs[:, 0]], index.reshape(-1, 3)
+    corners = [model.mesh_face[rows].ravel(), model.mesh_facenormal[rows].ravel()]
+    textured = textured and model.mesh_texcoordadr[mesh] >= 0
+    if textured:
+        corners.append(model.mesh_facetexcoord[rows].ravel())
+    used, index = np.unique(np.stack(corners, axis=1), axis=0, return_inverse=True)
+    coordinates = None
+    if textured:
+        coordinates = model.mesh_texcoord[model.mesh_texcoordadr[mesh] + used[:, 2]].astype(float)
+    return vertices[used[:, 0]], index.reshape(-1, 3), coordinates
 
 
 def _height_field(model: Any, field: int) -> tuple[Array, Faces]:
@@ -197,40 +242,105 @@ def _height_field(model: Any, field: int) -> tuple[Array, Faces]:
     return np.stack([x.ravel(), y.ravel(), heights], axis=1), np.concatenate([lower, upper])
 
 
-def _color(model: Any, rgba: Array, material: int, moving: bool) -> tuple[float, float, float, float]:
+def color_of(model: Any, rgba: Array, material: int, moving: bool) -> tuple[float, float, float, float]:
     """Return the colour shown: the geom's own, else its material's, else one for what moves or what stands."""
+    tint = tint_of(model, rgba, material)
+    color = np.array(_MOVING if moving else _FIXED) if tint is None else tint
+    if material >= 0:
+        color = color * [*textures.mean_color(model, material), 1.0]
+    return _rounded(color)
+
+
+def tint_of(model: Any, rgba: Array, material: int) -> Array | None:
+    """Return the colour that a texture is multiplied by; None where nobody chose one."""
     if not np.allclose(rgba, _UNSET):
-        color = np.array(rgba, dtype=float)
-    elif material >= 0:
-        color = model.mat_rgba[material] * _texture_mean(model, material)
-    else:
-        color = np.array(_MOVING if moving else _FIXED)
+        return np.array(rgba, dtype=float)
+    return None if material < 0 else np.array(model.mat_rgba[material], dtype=float)
+
+
+def _rounded(color: Array) -> tuple[float, float, float, float]:
     r, g, b, a = (round(float(c), 4) for c in np.clip(color, 0.0, 1.0))
     return r, g, b, a
 
 
-def _texture_mean(model: Any, material: int) -> Array:
-    """Return the mean colour of a material's texture, or white; textures themselves are not drawn."""
-    texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB])
-    if texture < 0:
-        return np.ones(4)
-    channels = int(model.tex_nchannel[texture])
-    size = int(model.tex_width[texture]) * int(model.tex_height[texture]) * channels
-    start = int(model.tex_adr[texture])
-    mean = model.tex_data[start : start + size].reshape(-1, channels).mean(axis=0) / 255.0
-    return np.array([*(mean[:3] if channels >= 3 else np.repeat(mean[:1], 3)), 1.0])
+@dataclass(frozen=True)
+class _Part:
+    """Triangles of one geom, with the coordinates of its texture."""
+
+    vertices: Array
+    faces: Faces
+    coordinates: Array | None = None
+    normals: Array | None = None
+
+    def placed(self, position: Array, wxyz: Array) -> _Part:
+        """The same in the frame of the body."""
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, wxyz)
+        turn = rotation.reshape(3, 3).T
+        normals = None if self.normals is None else self.normals @ turn
+        return _Part(self.vertices @ turn + position, self.faces, self.coordinates, normals)
 
 
-def _placed(vertices: Array, position: Array, wxyz: Array) -> Array:
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, wxyz)
-    return vertices @ rotation.reshape(3, 3).T + position
+def _part(model: Any, geom: int) -> _Part:
+    """Return the surface of a geom, unfolded along its texture where it has one."""
+    material = int(model.geom_matid[geom])
+    texture = textures.texture_of(model, material)
+    if texture is None:
+        return _Part(*geom_mesh(model, geom))
+    own = None
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        vertices, faces, own = _mesh_with_coordinates(model, int(model.geom_dataid[geom]), not texture.cube)
+    else:
+        vertices, faces = geom_mesh(model, geom)
+    normals = vertex_normals(vertices, faces)
+    size = _extent_of(model, geom)
+    if own is not None:
+        return _Part(vertices, faces, own, normals)
+    if not texture.cube:
+        return _Part(vertices, faces, textures.flat_coordinates(texture, vertices, size), normals)
+    on_mesh = model.geom_type[geom] in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD)
+    directions = vertices if on_mesh else vertices / size
+    if texture.uniform:
+        directions = directions * size
+    coordinates, corner = textures.cube_coordinates(directions, faces)
+    return _Part(vertices[corner], np.arange(len(corner)).reshape(-1, 3), coordinates, normals[corner])
 
 
-def _joined(meshes: list[tuple[Array, Faces]]) -> tuple[Array, Faces]:
-    offsets = np.cumsum([0] + [len(vertices) for vertices, _ in meshes[:-1]])
-    faces = [faces + offset for (_, faces), offset in zip(meshes, offsets, strict=True)]
-    return np.concatenate([vertices for vertices, _ in meshes]), np.concatenate(faces)
+def _extent_of(model: Any, geom: int) -> Array:
+    """Return what MuJoCo's renderer scales the unit shape of a geom by. Shape (3,). [m]"""
+    size = model.geom_size[geom]
+    kind = mujoco.mjtGeom(model.geom_type[geom])
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return np.full(3, size[0])
+    if kind in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
+        return np.array([size[0], size[0], size[1]])
+    return np.array(size)
+
+
+def vertex_normals(vertices: Array, faces: Faces) -> Array:
+    """Return the mean normals of the faces around each vertex, by area. Shape (n, 3)."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    normals = np.zeros_like(vertices)
+    np.add.at(normals, faces, np.cross(b - a, c - a)[:, None])
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+
+
+def _joined(
+    model: Any, body: int, group: int, rgba: tuple[float, ...], site: bool, material: int, *, joined: list[_Part]
+) -> Piece:
+    offsets = np.cumsum([0] + [len(part.vertices) for part in joined[:-1]])
+    faces = np.concatenate([part.faces + offset for part, offset in zip(joined, offsets, strict=True)])
+    cover = None
+    if material >= 0:
+        texture = textures.texture_of(model, material)
+        assert texture is not None
+        white = np.maximum([*textures.mean_color(model, material), 1.0], 1e-9)
+        coordinates = np.concatenate([part.coordinates for part in joined if part.coordinates is not None])
+        normals = np.concatenate([part.normals for part in joined if part.normals is not None])
+        shininess = float(model.mat_shininess[material])
+        cover = Cover(texture.index, _rounded(np.array(rgba) / white), shininess, coordinates, normals)
+    vertices = np.concatenate([part.vertices for part in joined])
+    return Piece(body, vertices, faces, _rounded(np.array(rgba)), group, site, cover)
 
 
 _SHAPES = {

@@ -24,6 +24,7 @@ from mjslq.result import Result
 from mjslq.simulation import Plant, Push, plant_of
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array, choose, positive
+from mjslq.viewer.look import Look
 from mjslq.viewer.scene import SceneView, quiet
 from mjslq.viewer.serving import Served
 
@@ -53,6 +54,8 @@ class Live(Served):
         First values of the weights, by name; each is slid between a hundredth and a hundred times of it.
     push : float
         Largest force of a push. [N]
+    dark : bool
+        Whether the page is dark at first.
     """
 
     kind = "live view"
@@ -66,6 +69,7 @@ class Live(Served):
         target: ArrayLike | None = None,
         weights: Mapping[str, float] | None = None,
         push: float = 20.0,
+        dark: bool = False,
         host: str = "127.0.0.1",
         port: int = 8080,
     ) -> None:
@@ -77,12 +81,12 @@ class Live(Served):
             raise ValueError("this problem has no model to draw")
         if pose is None and (target is not None or weights):
             raise ValueError("target and weights need pose, which makes the problem anew for them")
-        self._mpc, self._scene, self._pose = mpc, scene, pose
+        self._mpc, self._scene, self._pose, self._contact = mpc, scene, pose, problem.dynamics.contact
         self._plant: Plant = plant_of(problem.dynamics if plant is None else plant, problem.dynamics)
         self._substeps = max(1, round(mpc.period / self._plant.timestep))
         self._target = None if target is None else as_array("target", target, (3,))
         self._weights = {name: positive(name, value) for name, value in (weights or {}).items()}
-        self._force = positive("push", push)
+        self._force, self._dark = positive("push", push), bool(dark)
         self._thread: threading.Thread | None = None
         self.planning, self.running = True, True
         self.restart()
@@ -105,6 +109,7 @@ class Live(Served):
             self._mpc.reset()
             self._steps, self._pushes = 0, list[Push]()
             self._shown_plan: Result | None = None
+            self._held = np.zeros(self._mpc.problem.dynamics.nu)
             self.message = ""
 
     def push(self, body: str, force: ArrayLike, duration: float = 0.1) -> None:
@@ -136,6 +141,7 @@ class Live(Served):
             except ValueError as error:
                 self.running, self.message = False, str(error)
                 return
+            self._held = np.array(u, dtype=float)
             self._pushes = [push for push in self._pushes if push.at + push.duration > t - self._mpc.period]
             for i in range(self._substeps):
                 if not self._plant.advance(u, t + i * self._plant.timestep, self._pushes):
@@ -150,7 +156,15 @@ class Live(Served):
         server = self._open()
         with self._lock:
             self.advance()
-            self._view = SceneView(server, self._scene, self._mpc.plan.trajectory, _ASPECT)
+            self._view = SceneView(
+                server,
+                self._scene,
+                self._mpc.plan.trajectory,
+                _ASPECT,
+                dark=self._dark,
+                contact=self._contact,
+                passed=False,
+            )
             seen = server.initial_camera  # on the first plan; what comes takes more room
             centre = np.asarray(seen.look_at)
             seen.position = centre + _FARTHER * (np.asarray(seen.position) - centre)
@@ -180,8 +194,8 @@ class Live(Served):
                 self._view.follow(planned)
                 self._view.set_ghosts(*planned.spread(GHOSTS))
             x = np.array(self._plant.x)[None]
-            now = self._view.motion(Trajectory(x, np.zeros((0, plan.trajectory.U.shape[1])), dt=np.zeros(0)))
-            self._view.pose(now.positions[0], now.wxyzs[0])
+            now = self._view.motion(Trajectory(np.vstack([x, x]), self._held[None], dt=self._mpc.period)).first()
+            self._view.stand(now.frame(0.0))
             statistics = self._mpc.statistics
             told = f"t = {self.time:.2f} s\n\n{statistics}" if statistics.plans else f"t = {self.time:.2f} s"
             self._told.content = f"{told}\n\n{self.message}"
@@ -190,7 +204,7 @@ class Live(Served):
                 box.value = self.running
 
     def _add_widgets(self, gui: viser.GuiApi) -> None:
-        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=self._dark)
         gui.set_panel_label("mjslq live")
         self._planner = gui.add_checkbox("planner", self.planning)
         self._plant_runs = gui.add_checkbox("plant", self.running)
@@ -212,9 +226,10 @@ class Live(Served):
                 slider.on_update(partial(self._slid, name=name, value=value))
             if self._target is not None:
                 gizmo = self.server.scene.add_transform_controls(
-                    "/target", scale=0.15, disable_rotations=True, position=self._target
+                    "/targets/aim", scale=0.15, disable_rotations=True, position=self._target
                 )
                 gizmo.on_update(lambda _: self.aim(gizmo.position))
+        Look(gui, self._view)
         self._told = gui.add_markdown("")
 
     def _switch(self, event: Any, name: str) -> None:

@@ -18,6 +18,7 @@ from mjslq.dynamics.mujoco.contacts import model_of_scene
 from mjslq.dynamics.mujoco.engine import MujocoDynamics
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, choose
+from mjslq.viewer.look import Look
 from mjslq.viewer.scene import SceneView, quiet
 from mjslq.viewer.serving import Served, present
 
@@ -31,8 +32,11 @@ _REFERENCE = "(reference)"
 class ModelView(Served):
     """A Viser server that shows one model; a context manager, or `start` and `stop`."""
 
-    def __init__(self, dynamics: MujocoDynamics, host: str = "127.0.0.1", port: int = 8080) -> None:
+    def __init__(
+        self, dynamics: MujocoDynamics, host: str = "127.0.0.1", port: int = 8080, *, dark: bool = False
+    ) -> None:
         """Prepare to show the model of `dynamics` at `host`:`port`, or at the next free port."""
+        self._dark = bool(dark)
         super().__init__(host, port)
         self._dynamics = dynamics
         self._scene = dynamics.scene()
@@ -67,7 +71,9 @@ class ModelView(Served):
                 return
             server = self._open()
             try:
-                self._view = SceneView(server, self._scene, self._standing(), 0.85)
+                self._view = SceneView(
+                    server, self._scene, self._standing(), 0.85, dark=self._dark, contact=self._dynamics.contact
+                )
                 self._view.set_trace(False)
                 self._build(server.gui)
             except BaseException:
@@ -100,7 +106,7 @@ class ModelView(Served):
         self.show(x)
 
     def _build(self, gui: viser.GuiApi) -> None:
-        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=self._dark)
         gui.main_panel.dock_right()
         gui.set_panel_label("mjslq")
         with gui.add_folder(self._dynamics.name):
@@ -109,6 +115,8 @@ class ModelView(Served):
                 keyframes = gui.add_dropdown("Keyframe", (_REFERENCE, *names), initial_value=_REFERENCE)
                 keyframes.on_update(lambda event: self._chosen(event))
             self._note = gui.add_html("")
+        assert self._view is not None
+        Look(gui, self._view, skip=("traces",))
         with gui.add_folder("Joints"):
             for name in self._joints():
                 low, high = self._range(name)
@@ -178,7 +186,9 @@ class ModelView(Served):
         return str(own or self._model.body(int(self._model.geom_bodyid[geom])).name or f"geom {geom}")
 
 
-def view_model(dynamics: MujocoDynamics, host: str = "127.0.0.1", port: int = 8080, block: bool = True) -> ModelView:
+def view_model(
+    dynamics: MujocoDynamics, host: str = "127.0.0.1", port: int = 8080, block: bool = True, dark: bool = False
+) -> ModelView:
     """Show a model in a browser.
 
     Parameters
@@ -189,5 +199,7 @@ def view_model(dynamics: MujocoDynamics, host: str = "127.0.0.1", port: int = 80
         Where to serve; a port that is taken gives way to the next free one.
     block : bool
         Stay until Ctrl-C. Otherwise return at once; the caller stops the view returned.
+    dark : bool
+        Whether the page is dark at first.
     """
-    return present(ModelView(dynamics, host, port), block)
+    return present(ModelView(dynamics, host, port, dark=dark), block)

@@ -15,6 +15,7 @@ from mjslq.result import Result
 from mjslq.validation import choose, count
 from mjslq.viewer import panels, series
 from mjslq.viewer.controls import GHOSTS, Actions, Controls
+from mjslq.viewer.look import Look
 from mjslq.viewer.motion import Motion
 from mjslq.viewer.playback import Playback
 from mjslq.viewer.scene import SceneView, quiet
@@ -50,6 +51,7 @@ class Player(Served):
         *,
         autoplay: bool = True,
         beside: Sequence[Result] = (),
+        dark: bool = False,
     ) -> None:
         """Prepare to show `result` at `host`:`port`, or at the next free port; `start` opens it.
 
@@ -59,6 +61,7 @@ class Player(Served):
             raise ValueError(f"a viewer shows a Result of mjslq.solve or mjslq.load, got {type(result).__name__}")
         self._result = result
         self._beside = tuple(beside)
+        self._dark = bool(dark)
         super().__init__(host, port)
         self._playback = Playback(float(result.trajectory.times[-1]), playing=autoplay)
         self._model = None if result.scene is None else model_from_mjb(result.scene.model)
@@ -203,12 +206,14 @@ class Player(Served):
 
     def _build(self, server: viser.ViserServer) -> None:
         result, gui = self._result, server.gui
-        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=self._dark)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_CONTROLS_WIDTH)
         gui.set_panel_label("mjslq")
         if result.scene is not None:
-            self._view = SceneView(server, result.scene, self._trajectory, _ASPECT)
+            self._view = SceneView(
+                server, result.scene, self._trajectory, _ASPECT, dark=self._dark, contact=result.contact
+            )
         gui.add_html(panels.summary(result))
         if result.scene is None:
             gui.add_html(_NO_SCENE)
@@ -233,6 +238,8 @@ class Player(Served):
 
             with gui.add_folder("Comparison"):
                 add_comparison(gui, (result, *self._beside))
+        if self._view is not None:
+            Look(gui, self._view, skip=("traces",))
         self._add_plots(gui)
         if self._iterate is not None:
             self._note_iterate(self._iterate)

@@ -17,9 +17,11 @@ Foresight
 from __future__ import annotations
 
 import copy
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mjslq.contact import Contact
 from mjslq.dynamics.dynamics import Dynamics, Linearization
@@ -90,3 +92,46 @@ def model_of_scene(data: bytes) -> mujoco.MjModel:
     model = mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": data})
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
     return model
+
+
+@dataclass(frozen=True)
+class ContactForces:
+    """Contacts and their forces at n states; rows beyond the contacts of a state are zero, with geoms -1."""
+
+    count: NDArray[np.intp]
+    """Contacts at each state. Shape (n,)."""
+    positions: Array
+    """Shape (n, k, 3). [m]"""
+    normals: Array
+    """From the first geom to the second. Shape (n, k, 3)."""
+    forces: Array
+    """On the second geom, in the world. Shape (n, k, 3). [N]"""
+    geoms: NDArray[np.intp]
+    """The two geoms; -1 for a flex. Shape (n, k, 2)."""
+
+
+def contact_forces(model: mujoco.MjModel, X: Array, U: Array) -> ContactForces:
+    """Contact forces, by mj_contactForce, at states `X` (n, nx) under controls `U` (n, nu)."""
+    import mujoco
+
+    data, found = mujoco.MjData(model), []
+    wrench = np.zeros(6)
+    for x, u in zip(X, U, strict=True):
+        data.qpos, data.qvel = x[: model.nq], x[model.nq : model.nq + model.nv]
+        data.act, data.ctrl = x[model.nq + model.nv :], u
+        mujoco.mj_forward(model, data)
+        rows = []
+        for i in range(data.ncon):
+            mujoco.mj_contactForce(model, data, i, wrench)
+            axes = data.contact.frame[i].reshape(3, 3)
+            rows.append((data.contact.pos[i].copy(), axes[0].copy(), wrench[:3] @ axes, data.contact.geom[i].copy()))
+        found.append(rows)
+    count = np.array([len(rows) for rows in found], dtype=np.intp)
+    arrays = [np.zeros((len(found), max(count, default=0), 3)) for _ in range(3)]
+    geoms = np.full((*arrays[0].shape[:2], 2), -1, dtype=np.intp)
+    for n, rows in enumerate(found):
+        for i, row in enumerate(rows):
+            for array, value in zip(arrays, row, strict=False):
+                array[n, i] = value
+            geoms[n, i] = row[3]
+    return ContactForces(count, arrays[0], arrays[1], arrays[2], geoms)

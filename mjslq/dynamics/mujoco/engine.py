@@ -167,6 +167,13 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
 
         return frame_output(self.model, frame, of)
 
+    @property
+    def places(self) -> frozenset[str]:
+        """See `Dynamics.places`."""
+        from mjslq.dynamics.mujoco import names
+
+        return names.places(self.model)
+
     def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None = None) -> list[Trajectory]:
         """Simulate several times, on several threads; see `Dynamics.rollouts`."""
         with self._lock:

@@ -85,6 +85,13 @@ def outputs(model: mujoco.MjModel) -> dict[str, Output]:
     return found
 
 
+def places(model: mujoco.MjModel) -> frozenset[str]:
+    """Names of the sensors that read a point in the world."""
+    points = (mujoco.mjtSensor.mjSENS_FRAMEPOS, mujoco.mjtSensor.mjSENS_SUBTREECOM)
+    found = [s for s in range(model.nsensor) if mujoco.mjtSensor(model.sensor_type[s]) in points]
+    return frozenset(_name(model.sensor(s), "sensor") for s in found if model.sensor_refid[s] < 0)
+
+
 def model_name(model: mujoco.MjModel) -> str | None:
     """Return the name in the model itself; None when it has only MuJoCo's default."""
     name = bytes(model.names).split(b"\0", 1)[0].decode(errors="replace")

@@ -203,6 +203,11 @@ class PinocchioDynamics(Dynamics):
             raise ValueError(f"no output reads the {of} of {frame!r}; make the engine with outputs=({name!r}, ...)")
         return name
 
+    @property
+    def places(self) -> frozenset[str]:
+        """See `Dynamics.places`."""
+        return frozenset(name for name, output in self.outputs.items() if not output.quaternion)
+
     def holding_controls(self, x: ArrayLike) -> Array:
         """Controls under which the robot keeps the configuration of `x` at rest, gravity balanced. Shape (nu,).
 
