@@ -26,10 +26,10 @@ from mjslq.dynamics.dynamics import Dynamics, Linearization
 from mjslq.lq.adjoint import adjoint
 from mjslq.lq.box import Box
 from mjslq.lq.problem import Mask
+from mjslq.markers import markers
 from mjslq.options import check as check_options
 from mjslq.residuals import Slopes
 from mjslq.scene import Scene
-from mjslq.markers import markers
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array, count, describe, finite, frozen, function, instance, refrozen
 
