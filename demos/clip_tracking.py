@@ -96,12 +96,11 @@ def main(drive="servo", view=False):
         mpc = Timed(problem, iterations=20, replan_every=COMMITTED)
         run, statistics = mpc.run(duration=clip.duration).trajectory, mpc.statistics
         loops.append(engine.rollout(run.X[0], run.U))  # with what the sensors read
-        away = distances(loops[-1], problem.costs, engine)
+        away = 1e3 * distances(loops[-1], problem.costs, engine)
         costs.append(1e3 * mpc.spent / mpc.iterations)
         print(
             f"{name}: {statistics.plans} plans, {statistics.failed} failed, {mpc.iterations} iterations, "
-            f"{mpc.spent:.1f} s; bodies {1e3 * away.mean():.1f} mm from the clip's on average, {1e3 * away.max():.0f} at "
-            f"most"
+            f"{mpc.spent:.1f} s; bodies {away.mean():.1f} mm from the clip's on average, {away.max():.0f} at most"
         )
     print(f"an iteration: {costs[0]:.1f} ms here, {costs[1]:.0f} ms with differences: {costs[1] / costs[0]:.1f} times")
     whole = mjslq.problems.get("g1_clip", drive=drive, horizon=loops[0].horizon)
