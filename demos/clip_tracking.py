@@ -1,13 +1,17 @@
-"""A humanoid tracks a clip: what a linearization and an iteration cost here, and by finite differences.
+"""A humanoid tracks a clip on a receding horizon, with the Jacobians of this library and with finite differences.
 
-Run with    python demos/clip_tracking.py
+Run with    python demos/clip_tracking.py [servo | motor] [--view]
 
-The G1 (29 joints) follows a squat with waving arms: 50 knots of two simulator steps, twelve bodies tracked by frame
-sensors. The usual way to linearize this is one-sided differences of the step: from every knot, a simulation for each of
-the 70 directions of the state and of the 29 controls, about 5000 in all, by `mujoco.rollout`. Both run on one thread;
-times are CPU time, so that other work on the machine does not count.
+The G1 (29 joints) follows a recorded squat, wave and step (assets/clips/g1_squat_wave_step.csv): plans of 50 knots of
+two simulator steps each, at most 20 iterations a plan, ten knots of each are carried out; twelve bodies are tracked by
+frame sensors with pseudo-Huber losses; motors keep to the torques of the robot's description, servos to the joints'
+ranges. The usual way to linearize this is one-sided differences: from every knot, a simulation for each of the 70
+directions of the state and of the 29 controls, 5070 in all, by `mujoco.rollout`. Here such an engine goes through the
+same solver, so that its iterations are measured, too. Both run on one thread; times are CPU time, so that other work
+on the machine does not count.
 """
 
+import sys
 import time
 
 import mujoco
@@ -15,63 +19,97 @@ import mujoco.rollout
 import numpy as np
 
 import mjslq
+from mjslq.dynamics.dynamics import Linearization
+from mjslq.problems.g1_clip import distances, recorded
 
 EPS = 1e-6
+COMMITTED = 10
 
 
-def milliseconds(call, repeat=5):
-    """Least CPU time of a call. [ms]"""
-    call()
+class Differences(mjslq.MujocoDynamics):
+    """The engine whose Jacobians are one-sided differences of the step, all simulations in one call."""
+
+    def linearize(self, trajectory):
+        """See `mjslq.Dynamics.linearize`."""
+        model, space, k = self.model, self.space, self.substeps
+        N, ndx, nu, nx = trajectory.horizon, self.ndx, self.nu, self.nx
+        X = np.repeat(trajectory.X[:-1, None], 1 + ndx + nu, axis=1)
+        U = np.repeat(trajectory.U[:, None], 1 + ndx + nu, axis=1)
+        X[:, 1 : 1 + ndx] = space.integrate(X[:, 1 : 1 + ndx], EPS * np.eye(ndx))
+        U[:, 1 + ndx :] += EPS * np.eye(nu)
+        last = np.vstack([trajectory.X[-1], space.integrate(trajectory.X[-1], EPS * np.eye(ndx))])  # outputs alone
+        starts = np.vstack([X.reshape(-1, nx), last])
+        controls = np.vstack([U.reshape(-1, nu), np.zeros((len(last), nu))])
+        with_time = np.column_stack([np.zeros(len(starts)), starts])
+        data = mujoco.MjData(model)
+        ends, readings = mujoco.rollout.rollout(model, data, with_time, np.repeat(controls[:, None], k, axis=1))
+        F = ends[: -len(last), -1, 1 : 1 + nx].reshape(N, -1, nx)
+        Y, Y_last = readings[: -len(last), 0].reshape(N, -1, self.ny), readings[-len(last) :, 0]
+        AB = space.difference(F[:, :1], F[:, 1:]).swapaxes(1, 2) / EPS
+        C, D = np.empty((N + 1, self.ny, ndx)), np.zeros((N + 1, self.ny, nu))
+        CD = (Y[:, 1:] - Y[:, :1]).swapaxes(1, 2) / EPS
+        C[:N], D[:N], C[N] = CD[..., :ndx], CD[..., ndx:], (Y_last[1:] - Y_last[0]).T / EPS
+        parts = (np.ascontiguousarray(part) for part in (AB[..., :ndx], AB[..., ndx:]))
+        return Linearization(*parts, C, D)
+
+
+def linearization(dynamics, trajectory, repeat):
+    """Least CPU time of a linearization. [ms]"""
+    dynamics.linearize(trajectory)
     times = []
     for _ in range(repeat):
         begin = time.process_time()
-        call()
+        dynamics.linearize(trajectory)
         times.append(time.process_time() - begin)
     return 1e3 * min(times)
 
 
-def differences(dynamics, trajectory):
-    """A, B, C, D by one-sided differences of the step: all simulations in one call."""
-    model, data, space = dynamics.model, mujoco.MjData(dynamics.model), dynamics.space
-    N, ndx, nu, k = trajectory.horizon, dynamics.ndx, dynamics.nu, dynamics.substeps
-    X = np.repeat(trajectory.X[:-1], 1 + ndx + nu, axis=0).reshape(N, -1, dynamics.nx)
-    U = np.repeat(trajectory.U, 1 + ndx + nu, axis=0).reshape(N, -1, nu)
-    X[:, 1 : 1 + ndx] = space.integrate(X[:, 1 : 1 + ndx], EPS * np.eye(ndx))
-    U[:, 1 + ndx :] += EPS * np.eye(nu)
-    X, U = X.reshape(-1, dynamics.nx), U.reshape(-1, nu)
-    starts = np.column_stack([np.zeros(len(X)), X])  # time, qpos, qvel
-    ends, readings = mujoco.rollout.rollout(model, data, starts, np.repeat(U[:, None], k, axis=1))
-    ends = ends[:, -1, 1 : 1 + dynamics.nx].reshape(N, -1, dynamics.nx)
-    Y = readings[:, 0].reshape(N, -1, dynamics.ny)
-    AB = space.difference(ends[:, :1], ends[:, 1:]).swapaxes(1, 2) / EPS
-    CD = (Y[:, 1:] - Y[:, :1]).swapaxes(1, 2) / EPS
-    return AB[..., :ndx], AB[..., ndx:], CD[..., :ndx], CD[..., ndx:]
+class Timed(mjslq.MPC):
+    """A controller that adds up the iterations of its plans and their CPU time. [s]"""
+
+    iterations, spent = 0, 0.0
+
+    def step(self, x, t, **options):
+        """See `mjslq.MPC.step`."""
+        plans, begin = self.statistics.plans, time.process_time()
+        u = super().step(x, t, **options)
+        if self.statistics.plans > plans:
+            self.spent += time.process_time() - begin
+            self.iterations += self.plan.iterations
+        return u
 
 
-def main() -> None:
-    made = mjslq.problems.get("g1_clip")
-    dynamics = mjslq.MujocoDynamics.from_model(made.dynamics.model, substeps=2, threads=1)
-    problem = made.on(dynamics)
-    result = mjslq.solve(problem, max_iterations=20)
-    plan = result.trajectory
-    print(f"{result.iterations} iterations, {result.status.value}; {problem.describe(plan)['bodies']}")
-    ours, theirs = dynamics.linearize(plan), differences(dynamics, plan)
-    error = np.median(np.abs(ours.A - theirs[0]).max(axis=(1, 2)) / np.abs(ours.A).max(axis=(1, 2)))
-    print(f"median difference of A between the two, relative to its largest entry: {error:.1e}")
-    linearize, by_differences = (
-        milliseconds(lambda: dynamics.linearize(plan)),
-        milliseconds(lambda: differences(dynamics, plan), 2),
-    )
-    ratio = by_differences / linearize
-    print(f"linearization: {linearize:.1f} ms here, {by_differences:.0f} ms by differences, {ratio:.0f} times as long")
-    begin = time.process_time()
-    again = mjslq.solve(problem, max_iterations=5, tol=0.0)
-    iteration = 1e3 * (time.process_time() - begin) / 6  # five steps, six linearizations
-    other = iteration - linearize + by_differences
-    print(f"iteration: {iteration:.1f} ms here, {other:.0f} ms with differences, {other / iteration:.0f} times as long")
-    assert again.iterations == 5
-    mjslq.view(result)
+def main(drive="servo", view=False):
+    clip, made = recorded(), mjslq.problems.get("g1_clip", drive=drive)
+    model = made.dynamics.model
+    ours = mjslq.MujocoDynamics.from_model(model, substeps=2, threads=1)
+    theirs = Differences.from_model(model, substeps=2, threads=1)
+    plan = mjslq.solve(made.on(ours), max_iterations=20).trajectory  # compiles what is not compiled yet
+    A, B = ours.linearize(plan).A, theirs.linearize(plan).A
+    error = np.median(np.abs(A - B).max(axis=(1, 2)) / np.abs(A).max(axis=(1, 2)))
+    print(f"{drive}s; the two engines' A differ by {error:.1e} of its largest entry (median of the knots)")
+    times = [linearization(ours, plan, 20), linearization(theirs, plan, 3)]
+    print(f"a linearization: {times[0]:.1f} ms here, {times[1]:.0f} ms by differences: {times[1] / times[0]:.1f} times")
+    costs, loops = [], []
+    for name, engine in (("here", ours), ("differences", theirs)):
+        problem = made.on(engine)
+        mpc = Timed(problem, iterations=20, replan_every=COMMITTED)
+        run, statistics = mpc.run(duration=clip.duration).trajectory, mpc.statistics
+        loops.append(engine.rollout(run.X[0], run.U))  # with what the sensors read
+        away = 1e3 * distances(loops[-1], problem.costs, engine)
+        costs.append(1e3 * mpc.spent / mpc.iterations)
+        print(
+            f"{name}: {statistics.plans} plans, {statistics.failed} failed, {mpc.iterations} iterations, "
+            f"{mpc.spent:.1f} s; bodies {away.mean():.1f} mm from the clip's on average, {away.max():.0f} at most"
+        )
+    print(f"an iteration: {costs[0]:.1f} ms here, {costs[1]:.0f} ms with differences: {costs[1] / costs[0]:.1f} times")
+    whole = mjslq.problems.get("g1_clip", drive=drive, horizon=loops[0].horizon)
+    result = mjslq.solve(whole, guess=loops[0], max_iterations=20)
+    print(f"the whole clip in one plan, from there: {whole.describe(result.trajectory)['bodies']}")
+    if view:
+        mjslq.view(result)
+    return result
 
 
 if __name__ == "__main__":
-    main()
+    main(*[word for word in sys.argv[1:] if word != "--view"], view="--view" in sys.argv)

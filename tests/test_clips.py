@@ -234,6 +234,8 @@ def test_names_weights_losses_and_widths(robot, motion):
         ("hand", "position", 3.0, "huber", 0.2, "terminal"),
         ("hand", "orientation", 2.0, "quadratic", None, "terminal"),
     ]
+    (last,) = clip.costs(robot, {"position": 3.0}, names={"Hips": "base"}, terminal=0.1)
+    assert (last.when, last.terminal_weight) == ("always", pytest.approx(0.3)) and terms[0].terminal_weight is None
     np.testing.assert_allclose(terms[0].target(0.1), clip.frames["RightHand"]["position"][10], rtol=0, atol=1e-12)
 
 

@@ -172,6 +172,7 @@ class Clip:
         loss: str | Mapping[Any, str] = "pseudo-huber",
         width: float | Mapping[Any, float] | None = None,
         when: When = "always",
+        terminal: float = 1.0,
         offset: float = 0.0,
         stretch: float = 1.0,
         beyond: Beyond = "hold",
@@ -196,6 +197,9 @@ class Clip:
             1 m/s, "angular-velocity" 3 rad/s unless given.
         when : When
             Knots at which they act; see `mjslq.knots.When`.
+        terminal : float
+            With when="always": factor of the weights at the last knot, where the losses are values and not integrals
+            over time. Small ones suit a receding horizon, whose last knots are never carried out.
         offset, stretch, beyond
             Which part of the clip, how fast, and what is beyond its ends: see `mjslq.clips.Timing`.
 
@@ -213,7 +217,7 @@ class Clip:
         from mjslq.clips import following
 
         clip = self if names is None else self.renamed(names)
-        return following.costs(clip, dynamics, weights, loss, width, when, Timing(offset, stretch, beyond))
+        return following.costs(clip, dynamics, weights, loss, width, (when, terminal), Timing(offset, stretch, beyond))
 
     def states(
         self,

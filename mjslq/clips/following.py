@@ -119,10 +119,11 @@ def costs(
     weights: Mapping[Any, float] | None,
     loss: str | Mapping[Any, str],
     width: float | Mapping[Any, float] | None,
-    when: When,
+    acting: tuple[When, float],
     timing: Timing,
 ) -> list[Frame]:
-    """See `Clip.costs`."""
+    """See `Clip.costs`; `acting` are the knots, and the factor at the last one."""
+    when, factor = acting[0], nonnegative("terminal", acting[1])
     losses = dict.fromkeys(QUANTITIES, loss) if isinstance(loss, str) else _by_quantity("loss", loss)
     widths = _by_quantity("width", width) if isinstance(width, Mapping) else dict.fromkeys(QUANTITIES, width)
     step = float(np.min(dynamics.dt))
@@ -134,7 +135,9 @@ def costs(
             d = WIDTHS[of]
         dynamics.frame_output(name, of)  # told here, with the name
         signal = frame_signal(clip, name, of, timing, step)
-        terms.append(Frame(name, signal, weight, when, of=of, loss=kind, width=d))  # type: ignore[arg-type]
+        last = None if factor == 1.0 else factor * weight
+        term = Frame(name, signal, weight, when, of=of, loss=kind, width=d, terminal_weight=last)  # type: ignore[arg-type]
+        terms.append(term)
     return terms
 
 

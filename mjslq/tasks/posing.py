@@ -177,7 +177,7 @@ class Poser:
             return [self._cost(cost, x0)]
         return list(tracked(cost, self.clips).costs(
             self.dynamics, cost.weights, loss=cost.loss, width=cost.width, when=self._when(cost.when),
-            offset=cost.offset, stretch=cost.stretch, beyond=cost.beyond,
+            terminal=cost.terminal, offset=cost.offset, stretch=cost.stretch, beyond=cost.beyond,
         ))  # fmt: skip
 
     def _cost(self, cost: schema.OneCost, x0: Array) -> CostTerm:

@@ -193,6 +193,9 @@ class ClipCost(Table):
         Annotated[Positive | dict[str, float], Says("a number above 0 or a table of such by quantity of frames")] | None
     ) = Field(default=None, description="Width of the losses other than quadratic.")
     when: When = "always"
+    terminal: Annotated[float, Field(ge=0.0), Says("a number of at least 0")] = Field(
+        default=1.0, description='Factor of the weights at the last knot, with when = "always".'
+    )
     offset: float = Field(default=0.0, description="Time after the clip's beginning at which the horizon begins. [s]")
     stretch: Positive = Field(default=1.0, description="How much longer the motion takes than the recording.")
     beyond: Annotated[Literal["hold", "refuse"], Says('"hold" or "refuse"')] = "hold"
