@@ -1,5 +1,7 @@
 """`explain`: what a page says about a result is what the result is."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from test_cli import refused, run
@@ -50,6 +52,13 @@ def test_a_page_survives_saving(tmp_path):
     assert np.array_equal(again.gradient, result.gradient) and again.cost_terms == result.cost_terms
     assert str(mjslq.explain(again)) == str(mjslq.explain(result))
     assert np.linalg.norm(result.gradient) == pytest.approx(result.gradient_norm)
+
+
+def test_a_solve_that_failed_is_never_told_that_all_is_well():
+    result = mjslq.solve(ball(), max_iterations=0)
+    for status in Status:
+        ended = dataclasses.replace(result, status=status, log=())
+        assert ("Nothing" in str(mjslq.explain(ended))) == (status is Status.CONVERGED)
 
 
 def test_touches_are_those_of_the_motion():

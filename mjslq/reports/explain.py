@@ -218,7 +218,9 @@ def _advice(result: Result, touched: list[Touch], check: DerivativeCheck | None)
     share = float((limits.reached(result, result.trajectory.U) != 0).mean())
     if share > 0.5:
         found.append(f"Controls are at their limits {share:.0%} of the time: give the motion more time (horizon).")
-    return tuple(found)
+    return tuple(found) or (
+        "Start elsewhere (guess=), or move the goal: kinks, as at a joint's end, can stop a search.",
+    )
 
 
 def _advice_after_success(result: Result) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 MENAGERIE = "menagerie:"
 _FILES = (".xml", ".urdf", ".mjb")
 _ONLY = {
-    "mujoco": ("substeps", "jacobian", "threads", "floor", "self_contacts"),
+    "mujoco": ("substeps", "jacobian", "threads", "contact", "foresight", "floor", "self_contacts"),
     "pinocchio": ("locked_joints",),
 }
 """Keys of [engine] that one engine alone has."""
@@ -103,7 +103,7 @@ def _mujoco(
     from mjslq.dynamics.mujoco.frames import add_frame_sensor
 
     engine = task.engine
-    names = ("timestep", "substeps", "integrator", "jacobian", "threads")
+    names = ("timestep", "substeps", "integrator", "jacobian", "threads", "contact", "foresight")
     options = {name: value for name in names if (value := getattr(engine, name)) is not None}
     options["name"] = file.stem
     with source.at("model"):

@@ -80,6 +80,12 @@ class Engine(Table):
     self_contacts: bool | None = Field(
         default=None, description="Let the links of a URDF touch each other; true unless given. mujoco"
     )
+    contact: Literal["model", "smooth", "stiff"] | None = Field(
+        default=None, description="How hard bodies touch, in place of the model's own: smooth to find motions. mujoco"
+    )
+    foresight: Annotated[float, Field(ge=0.0), Says("a number of at least 0")] | None = Field(
+        default=None, description="Distance from which on derivatives feel contacts that are not there yet. mujoco [m]"
+    )
     armature: Annotated[float, Field(ge=0.0), Says("a number of at least 0")] | None = Field(
         default=None, description="Rotor inertia of a URDF's joints. [kg m^2 or kg]"
     )

@@ -1,8 +1,8 @@
 """`mjslq new`: a task file to begin with, which lists what the model has and solves as it is.
 
 The task reaches with the tip, the last body of the longest chain, to where it is when all joints have turned a little;
-a robot whose base floats holds its pose. All names that a user may want to write stand in comments beside where they
-go.
+a robot whose base floats, or slides undriven, holds its pose. All names that a user may want to write stand in comments
+beside where they go.
 """
 
 from __future__ import annotations
@@ -62,7 +62,9 @@ def _text(model: str, dynamics: MujocoDynamics, is_urdf: bool) -> str:
     ]
     if is_urdf:
         lines.append("armature = 0.01              # rotor inertia, which URDF has not [kg m^2 or kg]")
-        lines.append("self_contacts = false        # links of URDF files often overlap; floor = true adds a ground")
+        lines.append("self_contacts = false        # links of URDF files often overlap")
+        lines.append("# floating = true            # free the base, for robots that walk, fly or swim")
+        lines.append('# floor = true               # a ground to stand on; contact = "smooth" makes it easier')
     lines += ["", "[start]", *_start(dynamics), ""]
     lines += _costs(dynamics)
     lines += ["", *_constraints(dynamics), "", "[solve]", 'method = "auto"', "# max_iterations = 300", ""]
@@ -100,9 +102,10 @@ def _costs(dynamics: MujocoDynamics) -> list[str]:
     tip = _tip(model, data)
     if tip is None:
         return [*lines, "[[costs]]", 'kind = "state"               # hold the start', "weight = 1.0", 'when = "always"']
-    kind, name, position = tip
+    kind, name = tip
+    position = _position(data, kind, name)
     _turn(dynamics, data)
-    goal = _tip(model, data)[2]  # type: ignore[index]
+    goal = _position(data, kind, name)
     frames = [model.site(i).name for i in range(model.nsite)] + [model.body(i).name for i in range(1, model.nbody)]
     sensors = [name for name in dynamics.outputs]
     return [
@@ -145,7 +148,12 @@ def _effort(dynamics: MujocoDynamics) -> float:
 
 
 def _outside(dynamics: MujocoDynamics) -> dict[str, float]:
-    """Joints whose reference position lies outside of their range, or near its end, and the middle of it."""
+    """Joints whose reference position lies outside of their range, or near its end, and the middle of it.
+
+    None of a robot that floats: it may stand, and would no longer.
+    """
+    if _floats(dynamics.model):
+        return {}
     x0, names = dynamics.initial_state, list(dynamics.state_names)
 
     def inside(q: float, low: float, high: float) -> bool:
@@ -183,31 +191,48 @@ def _turn(dynamics: MujocoDynamics, data: Any) -> None:
     mujoco.mj_kinematics(model, data)
 
 
-def _tip(model: mujoco.MjModel, data: Any) -> tuple[str, str, Any] | None:
-    """The named end of the longest chain: its kind, name and position; None for a floating base.
+def _position(data: Any, kind: str, name: str) -> Any:
+    """Where a site or a body is. Shape (3,). [m]"""
+    return (data.site(name) if kind == "site" else data.body(name)).xpos.copy()
 
-    Where a chain ends in several fingers, its end is what carries them.
+
+def _tip(model: mujoco.MjModel, data: Any) -> tuple[str, str] | None:
+    """The named end of the longest chain: its kind and name; None for a floating base.
+
+    Where a chain ends in several fingers, its end is what carries them; of several legs, the end of one.
     """
-    import mujoco
-
-    if (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
+    if _floats(model):
         return None
     parents, joints, length = model.body_parentid, _driven(model), np.zeros(model.nbody)
     for b in range(1, model.nbody):
         joints[b] += joints[parents[b]]
         if joints[parents[b]]:
             length[b] = length[parents[b]] + np.linalg.norm(data.xpos[b] - data.xpos[parents[b]])
-    end = int(joints.argmax())
-    while joints[parents[end]] and not _is_alone(end, joints, parents):
+    last = end = int(joints.argmax())
+    while joints[end] and not _is_alone(end, joints, parents):
         end = parents[end]
+    if not joints[end]:  # nothing carries all the chains, as with the legs of a base that stands still
+        end = last
     named = [b for b in range(1, model.nbody) if joints[b] == joints[end] and model.body(b).name]
     if not joints[end] or not named:
         return None
     body = max(named, key=lambda b: length[b])
     sites = [s for s in range(model.nsite) if model.site_bodyid[s] == body and model.site(s).name]
     if sites:
-        return "site", model.site(sites[0]).name, data.site_xpos[sites[0]].copy()
-    return "body", model.body(body).name, data.xpos[body].copy()
+        return "site", model.site(sites[0]).name
+    return "body", model.body(body).name
+
+
+def _floats(model: mujoco.MjModel) -> bool:
+    """Whether what carries actuated joints can go away: on a free joint, or on slides that nothing drives."""
+    import mujoco
+
+    if (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
+        return True
+    driven = set(model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, 0])
+    slides = {int(model.jnt_bodyid[j]) for j in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE)
+              if j not in driven}  # fmt: skip
+    return any(_is_above(body, int(model.jnt_bodyid[j]), model.body_parentid) for body in slides for j in driven)
 
 
 def _driven(model: mujoco.MjModel) -> Any:
