@@ -13,6 +13,7 @@ options, and states and cost that its controls give again.
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import json
 import math
@@ -55,9 +56,9 @@ class Solved:
     result: Result | None
     """The result; None where there was an error."""
     error: str = ""
-    """Traceback of the error, or what happened to the process; empty where there is a result."""
+    """Traceback of the error, what happened to the process, or why a result could not be written; empty otherwise."""
     file: Path | None = None
-    """Where the result is, with `out`."""
+    """Where the result is, with `out`; None where it could not be written."""
     resumed: bool = False
     """Whether it was read from the file of an earlier call."""
 
@@ -213,14 +214,17 @@ class _Batch:
         result: Result = future.result()
         file = self._file(index, problem)
         if file is not None:
-            result.save(file)
+            try:
+                result.save(file)
+            except ValueError as unwritten:  # a full disk: what was found is handed on all the same
+                return Solved(index, problem.name, result, str(unwritten))
             _error_file(file).unlink(missing_ok=True)
         return Solved(index, problem.name, result, file=file)
 
     def _failed(self, index: int, problem: Problem, error: str) -> Solved:
         file, name = self._file(index, problem), str(getattr(problem, "name", "problem"))
         if file is not None:
-            with atomic_write(_error_file(file)) as stream:
+            with contextlib.suppress(ValueError), atomic_write(_error_file(file)) as stream:
                 stream.write(json.dumps({"index": index, "problem": name, "error": error}).encode())
         return Solved(index, name, None, error)
 

@@ -53,6 +53,8 @@ def main() -> None:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
         if sys.stdout is not None:
             sys.stdout.flush()  # here, where a full disk and a reader that has gone are told
+        if code == _EXIT["interrupted"]:
+            print("mjslq: interrupted", file=sys.stderr)
         sys.exit(code)
     except _USAGE_ERROR as error:
         _refuse(" ".join(error.format_message().split()))  # type: ignore[attr-defined]
