@@ -230,16 +230,24 @@ def _mesh_with_coordinates(model: Any, mesh: int, textured: bool) -> tuple[Array
 
 
 def _height_field(model: Any, field: int) -> tuple[Array, Faces]:
-    """Return the upper surface of a height field."""
+    """Return the upper surface of a height field, and its sides down to its base."""
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     start = int(model.hfield_adr[field])
-    x_half, y_half, top, _ = model.hfield_size[field]
+    x_half, y_half, top, base = model.hfield_size[field]
     heights = top * model.hfield_data[start : start + rows * columns]
     y, x = np.meshgrid(np.linspace(-y_half, y_half, rows), np.linspace(-x_half, x_half, columns), indexing="ij")
     corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     lower = np.stack([corner, corner + 1, corner + columns + 1], axis=1)
     upper = np.stack([corner, corner + columns + 1, corner + columns], axis=1)
-    return np.stack([x.ravel(), y.ravel(), heights], axis=1), np.concatenate([lower, upper])
+    vertices, faces = [np.stack([x.ravel(), y.ravel(), heights], axis=1)], [lower, upper]
+    grid = np.arange(rows * columns).reshape(rows, columns)
+    for edge in (grid[0], grid[:, -1], grid[-1, ::-1], grid[::-1, 0]):  # counter-clockwise seen from above
+        first, n = sum(map(len, vertices)), len(edge)
+        rim = vertices[0][edge]
+        vertices += [rim, rim * [1.0, 1.0, 0.0] - [0.0, 0.0, base]]
+        i = first + np.arange(n - 1)
+        faces += [np.stack([i + n, i + n + 1, i + 1], axis=1), np.stack([i + n, i + 1, i], axis=1)]
+    return np.concatenate(vertices), np.concatenate(faces)
 
 
 def color_of(model: Any, rgba: Array, material: int, moving: bool) -> tuple[float, float, float, float]:
@@ -296,14 +304,32 @@ def _part(model: Any, geom: int) -> _Part:
     size = _extent_of(model, geom)
     if own is not None:
         return _Part(vertices, faces, own, normals)
-    if not texture.cube:
+    free = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SDF, mujoco.mjtGeom.mjGEOM_HFIELD)
+    shape = mujoco.mjtGeom(model.geom_type[geom])
+    if not texture.cube and shape in free:
         return _Part(vertices, faces, textures.flat_coordinates(texture, vertices, size), normals)
-    on_mesh = model.geom_type[geom] in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD)
-    directions = vertices if on_mesh else vertices / size
-    if texture.uniform:
-        directions = directions * size
-    coordinates, corner = textures.cube_coordinates(directions, faces)
+    if not texture.cube:
+        coordinates, corner = textures.wrapped_coordinates(texture, shape, vertices, faces, size)
+    else:
+        if shape == mujoco.mjtGeom.mjGEOM_BOX and texture.uniform:  # its edges are not those of the cube
+            vertices, faces = divided(vertices, faces, 3)
+            normals = vertex_normals(vertices, faces)
+        directions = vertices if shape in free else vertices / size
+        directions = directions * size if texture.uniform else directions
+        coordinates, corner = textures.cube_coordinates(directions, faces)
     return _Part(vertices[corner], np.arange(len(corner)).reshape(-1, 3), coordinates, normals[corner])
+
+
+def divided(vertices: Array, faces: Faces, times: int) -> tuple[Array, Faces]:
+    """Return triangles cut into four, `times` over; those that shared no vertices still share none."""
+    for _ in range(times):
+        a, b, c = (vertices[faces[:, i]] for i in range(3))
+        corners = [a, b, c, 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)]
+        start = np.arange(len(faces))[:, None]
+        index = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
+        faces = np.concatenate([start + len(start) * np.array(triangle) for triangle in index])
+        vertices = np.concatenate(corners)
+    return vertices, faces
 
 
 def _extent_of(model: Any, geom: int) -> Array:
