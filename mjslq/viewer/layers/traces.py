@@ -21,6 +21,7 @@ from mjslq.viewer.theme import Color
 _CHOSEN = 4  # paths from the start, at most
 _PIECES = 24
 _WIDE, _THIN = 3.0, 1.5  # [px]
+_LATE = 3  # knots that the line ahead may begin too early, which saves most of its updates
 _PALE = 0.62  # share of the ground's colour in what is to come
 
 
@@ -58,6 +59,8 @@ class _Line:
     """Of each piece: 0 to come, 1 passed, 2 hidden."""
     color: Color
     pale: Color
+    ahead_from: tuple[int | None, int] = (None, -1)
+    """Piece and knot that `ahead` was last drawn from."""
 
     def show(self, frame: Frame) -> None:
         """Mark what has passed."""
@@ -76,7 +79,10 @@ class _Line:
         a, b = self.spans[current] if current is not None else (0, 0)
         none = self.path[:1]
         self.behind.points = _segments(none if current is None else np.r_[self.path[a : frame.before + 1], now])
-        self.ahead.points = _segments(none if current is None else np.r_[now, self.path[frame.after : b + 1]])
+        piece, knot = self.ahead_from
+        if piece != current or not 0 <= frame.before - knot < _LATE:
+            self.ahead_from = current, frame.before
+            self.ahead.points = _segments(none if current is None else np.r_[now, self.path[frame.after : b + 1]])
 
 
 class Traces(Layer):
