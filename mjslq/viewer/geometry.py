@@ -17,6 +17,7 @@ from mjslq.validation import Array
 from mjslq.viewer import textures
 
 Faces = NDArray[np.intp]
+Color = tuple[float, float, float, float]
 
 SHOWN_GROUPS = (0, 1, 2)
 """Groups of geoms and sites that MuJoCo's own viewer shows from the start; collision shapes sit above them."""
@@ -93,14 +94,16 @@ def pieces(model: Any, groups: tuple[int, ...] | None = None) -> list[Piece]:
         rgba = color_of(model, model.geom_rgba[geom], material, model.body_weldid[body] != 0)
         part = _part(model, int(geom))
         if rgba[3] > 0.0 and len(part.faces):
-            key = (body, int(model.geom_group[geom]), rgba, False, material if part.coordinates is not None else -1)
+            key: tuple[Any, ...] = (body, int(model.geom_group[geom]), rgba, False)
+            if part.coordinates is not None:
+                key += (material, _rounded(tint_of(model, model.geom_rgba[geom], material)))
             parts.setdefault(key, []).append(part.placed(model.geom_pos[geom], model.geom_quat[geom]))
     for site in np.flatnonzero(np.isin(model.site_group, SHOWN_GROUPS if groups is None else groups)):
         body = int(model.site_bodyid[site])
         rgba = color_of(model, model.site_rgba[site], int(model.site_matid[site]), model.body_weldid[body] != 0)
         if rgba[3] > 0.0:
             part = _Part(*_SHAPES[mujoco.mjtGeom(model.site_type[site])](model.site_size[site]))
-            key = (body, int(model.site_group[site]), rgba, True, -1)
+            key = (body, int(model.site_group[site]), rgba, True)
             parts.setdefault(key, []).append(part.placed(model.site_pos[site], model.site_quat[site]))
     return [_joined(model, *key, joined=some) for key, some in parts.items()]
 
@@ -252,21 +255,20 @@ def _height_field(model: Any, field: int) -> tuple[Array, Faces]:
 
 def color_of(model: Any, rgba: Array, material: int, moving: bool) -> tuple[float, float, float, float]:
     """Return the colour shown: the geom's own, else its material's, else one for what moves or what stands."""
-    tint = tint_of(model, rgba, material)
-    color = np.array(_MOVING if moving else _FIXED) if tint is None else tint
+    chosen = material >= 0 or not np.allclose(rgba, _UNSET)
+    color = tint_of(model, rgba, material) if chosen else np.array(_MOVING if moving else _FIXED)
     if material >= 0:
         color = color * [*textures.mean_color(model, material), 1.0]
     return _rounded(color)
 
 
-def tint_of(model: Any, rgba: Array, material: int) -> Array | None:
-    """Return the colour that a texture is multiplied by; None where nobody chose one."""
-    if not np.allclose(rgba, _UNSET):
-        return np.array(rgba, dtype=float)
-    return None if material < 0 else np.array(model.mat_rgba[material], dtype=float)
+def tint_of(model: Any, rgba: Array, material: int) -> Array:
+    """Return the colour that a material's texture is multiplied by: the geom's own, else the material's."""
+    own = material < 0 or not np.allclose(rgba, _UNSET)
+    return np.array(rgba if own else model.mat_rgba[material], dtype=float)
 
 
-def _rounded(color: Array) -> tuple[float, float, float, float]:
+def _rounded(color: Array) -> Color:
     r, g, b, a = (round(float(c), 4) for c in np.clip(color, 0.0, 1.0))
     return r, g, b, a
 
@@ -352,21 +354,20 @@ def vertex_normals(vertices: Array, faces: Faces) -> Array:
 
 
 def _joined(
-    model: Any, body: int, group: int, rgba: tuple[float, ...], site: bool, material: int, *, joined: list[_Part]
-) -> Piece:
+    model: Any, body: int, group: int, rgba: Color, site: bool, material: int = -1, tint: Color | None = None,
+    *, joined: list[_Part],
+) -> Piece:  # fmt: skip
     offsets = np.cumsum([0] + [len(part.vertices) for part in joined[:-1]])
     faces = np.concatenate([part.faces + offset for part, offset in zip(joined, offsets, strict=True)])
+    vertices = np.concatenate([part.vertices for part in joined])
     cover = None
-    if material >= 0:
+    if tint is not None:
         texture = textures.texture_of(model, material)
         assert texture is not None
-        white = np.maximum([*textures.mean_color(model, material), 1.0], 1e-9)
         coordinates = np.concatenate([part.coordinates for part in joined if part.coordinates is not None])
         normals = np.concatenate([part.normals for part in joined if part.normals is not None])
-        shininess = float(model.mat_shininess[material])
-        cover = Cover(texture.index, _rounded(np.array(rgba) / white), shininess, coordinates, normals)
-    vertices = np.concatenate([part.vertices for part in joined])
-    return Piece(body, vertices, faces, _rounded(np.array(rgba)), group, site, cover)
+        cover = Cover(texture.index, tint, float(model.mat_shininess[material]), coordinates, normals)
+    return Piece(body, vertices, faces, rgba, group, site, cover)
 
 
 _SHAPES = {
