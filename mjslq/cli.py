@@ -19,6 +19,7 @@ import typer
 from mjslq.commands import explaining, exporting, measuring, sweeping, tasks
 from mjslq.commands.common import (
     MODELS,
+    Dark,
     Host,
     Json,
     Port,
@@ -114,6 +115,7 @@ def solve(
     view: View = False,
     host: Host = "127.0.0.1",
     port: Port = 8080,
+    dark: Dark = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -143,7 +145,7 @@ def solve(
     if view:
         from mjslq.viewer import view as show
 
-        show(result, host, port)
+        show(result, host, port, dark=dark)
     raise typer.Exit(_EXIT.get(result.status.value, 1))
 
 
@@ -152,18 +154,19 @@ def view(
     file: Annotated[Path, typer.Argument(help="A result that `solve --save` wrote, or a model (.xml, .urdf, .mjb).")],
     host: Host = "127.0.0.1",
     port: Port = 8080,
+    dark: Dark = False,
 ) -> None:
     """Show a saved result in a browser; or a model, with its keyframes and a slider for each joint."""
     if file.suffix.lower() in MODELS:
         from mjslq.dynamics.mujoco import MujocoDynamics
         from mjslq.viewer.model_view import view_model
 
-        view_model(MujocoDynamics.from_path(file), host, port)
+        view_model(MujocoDynamics.from_path(file), host, port, dark=dark)
         return
     from mjslq.result import load
     from mjslq.viewer import view as show
 
-    show(load(file), host, port)
+    show(load(file), host, port, dark=dark)
 
 
 @app.command()
@@ -177,6 +180,7 @@ def compare(
     view: View = False,
     host: Host = "127.0.0.1",
     port: Port = 8080,
+    dark: Dark = False,
 ) -> None:
     """Solve a problem by every method from the same start: one table, one plot."""
     if view:
@@ -212,7 +216,7 @@ def compare(
         from mjslq.viewer import view as show
 
         best, *others = sorted((entry.result for entry in entries), key=lambda result: result.cost)
-        show(best, host, port, beside=others)
+        show(best, host, port, beside=others, dark=dark)
 
 
 for _command in (

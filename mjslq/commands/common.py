@@ -21,6 +21,7 @@ Settings = Annotated[
 MODELS = (".xml", ".urdf", ".mjb")
 """Endings of model files."""
 View = Annotated[bool, typer.Option("--view", help="Show the result in a browser.")]
+Dark = Annotated[bool, typer.Option("--dark", help="Make the viewer's page dark.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the numbers as one JSON object.")]
 
 

@@ -17,6 +17,7 @@ from mjslq.validation import Array
 from mjslq.viewer import textures
 
 Faces = NDArray[np.intp]
+Color = tuple[float, float, float, float]
 
 SHOWN_GROUPS = (0, 1, 2)
 """Groups of geoms and sites that MuJoCo's own viewer shows from the start; collision shapes sit above them."""
@@ -93,14 +94,16 @@ def pieces(model: Any, groups: tuple[int, ...] | None = None) -> list[Piece]:
         rgba = color_of(model, model.geom_rgba[geom], material, model.body_weldid[body] != 0)
         part = _part(model, int(geom))
         if rgba[3] > 0.0 and len(part.faces):
-            key = (body, int(model.geom_group[geom]), rgba, False, material if part.coordinates is not None else -1)
+            key: tuple[Any, ...] = (body, int(model.geom_group[geom]), rgba, False)
+            if part.coordinates is not None:
+                key += (material, _rounded(tint_of(model, model.geom_rgba[geom], material)))
             parts.setdefault(key, []).append(part.placed(model.geom_pos[geom], model.geom_quat[geom]))
     for site in np.flatnonzero(np.isin(model.site_group, SHOWN_GROUPS if groups is None else groups)):
         body = int(model.site_bodyid[site])
         rgba = color_of(model, model.site_rgba[site], int(model.site_matid[site]), model.body_weldid[body] != 0)
         if rgba[3] > 0.0:
             part = _Part(*_SHAPES[mujoco.mjtGeom(model.site_type[site])](model.site_size[site]))
-            key = (body, int(model.site_group[site]), rgba, True, -1)
+            key = (body, int(model.site_group[site]), rgba, True)
             parts.setdefault(key, []).append(part.placed(model.site_pos[site], model.site_quat[site]))
     return [_joined(model, *key, joined=some) for key, some in parts.items()]
 
@@ -230,35 +233,42 @@ def _mesh_with_coordinates(model: Any, mesh: int, textured: bool) -> tuple[Array
 
 
 def _height_field(model: Any, field: int) -> tuple[Array, Faces]:
-    """Return the upper surface of a height field."""
+    """Return the upper surface of a height field, and its sides down to its base."""
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     start = int(model.hfield_adr[field])
-    x_half, y_half, top, _ = model.hfield_size[field]
+    x_half, y_half, top, base = model.hfield_size[field]
     heights = top * model.hfield_data[start : start + rows * columns]
     y, x = np.meshgrid(np.linspace(-y_half, y_half, rows), np.linspace(-x_half, x_half, columns), indexing="ij")
     corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     lower = np.stack([corner, corner + 1, corner + columns + 1], axis=1)
     upper = np.stack([corner, corner + columns + 1, corner + columns], axis=1)
-    return np.stack([x.ravel(), y.ravel(), heights], axis=1), np.concatenate([lower, upper])
+    vertices, faces = [np.stack([x.ravel(), y.ravel(), heights], axis=1)], [lower, upper]
+    grid = np.arange(rows * columns).reshape(rows, columns)
+    for edge in (grid[0], grid[:, -1], grid[-1, ::-1], grid[::-1, 0]):  # counter-clockwise seen from above
+        first, n = sum(map(len, vertices)), len(edge)
+        rim = vertices[0][edge]
+        vertices += [rim, rim * [1.0, 1.0, 0.0] - [0.0, 0.0, base]]
+        i = first + np.arange(n - 1)
+        faces += [np.stack([i + n, i + n + 1, i + 1], axis=1), np.stack([i + n, i + 1, i], axis=1)]
+    return np.concatenate(vertices), np.concatenate(faces)
 
 
 def color_of(model: Any, rgba: Array, material: int, moving: bool) -> tuple[float, float, float, float]:
     """Return the colour shown: the geom's own, else its material's, else one for what moves or what stands."""
-    tint = tint_of(model, rgba, material)
-    color = np.array(_MOVING if moving else _FIXED) if tint is None else tint
+    chosen = material >= 0 or not np.allclose(rgba, _UNSET)
+    color = tint_of(model, rgba, material) if chosen else np.array(_MOVING if moving else _FIXED)
     if material >= 0:
         color = color * [*textures.mean_color(model, material), 1.0]
     return _rounded(color)
 
 
-def tint_of(model: Any, rgba: Array, material: int) -> Array | None:
-    """Return the colour that a texture is multiplied by; None where nobody chose one."""
-    if not np.allclose(rgba, _UNSET):
-        return np.array(rgba, dtype=float)
-    return None if material < 0 else np.array(model.mat_rgba[material], dtype=float)
+def tint_of(model: Any, rgba: Array, material: int) -> Array:
+    """Return the colour that a material's texture is multiplied by: the geom's own, else the material's."""
+    own = material < 0 or not np.allclose(rgba, _UNSET)
+    return np.array(rgba if own else model.mat_rgba[material], dtype=float)
 
 
-def _rounded(color: Array) -> tuple[float, float, float, float]:
+def _rounded(color: Array) -> Color:
     r, g, b, a = (round(float(c), 4) for c in np.clip(color, 0.0, 1.0))
     return r, g, b, a
 
@@ -296,14 +306,32 @@ def _part(model: Any, geom: int) -> _Part:
     size = _extent_of(model, geom)
     if own is not None:
         return _Part(vertices, faces, own, normals)
-    if not texture.cube:
+    free = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SDF, mujoco.mjtGeom.mjGEOM_HFIELD)
+    shape = mujoco.mjtGeom(model.geom_type[geom])
+    if not texture.cube and shape in free:
         return _Part(vertices, faces, textures.flat_coordinates(texture, vertices, size), normals)
-    on_mesh = model.geom_type[geom] in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD)
-    directions = vertices if on_mesh else vertices / size
-    if texture.uniform:
-        directions = directions * size
-    coordinates, corner = textures.cube_coordinates(directions, faces)
+    if not texture.cube:
+        coordinates, corner = textures.wrapped_coordinates(texture, shape, vertices, faces, size)
+    else:
+        if shape == mujoco.mjtGeom.mjGEOM_BOX and texture.uniform:  # its edges are not those of the cube
+            vertices, faces = divided(vertices, faces, 3)
+            normals = vertex_normals(vertices, faces)
+        directions = vertices if shape in free else vertices / size
+        directions = directions * size if texture.uniform else directions
+        coordinates, corner = textures.cube_coordinates(directions, faces)
     return _Part(vertices[corner], np.arange(len(corner)).reshape(-1, 3), coordinates, normals[corner])
+
+
+def divided(vertices: Array, faces: Faces, times: int) -> tuple[Array, Faces]:
+    """Return triangles cut into four, `times` over; those that shared no vertices still share none."""
+    for _ in range(times):
+        a, b, c = (vertices[faces[:, i]] for i in range(3))
+        corners = [a, b, c, 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)]
+        start = np.arange(len(faces))[:, None]
+        index = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
+        faces = np.concatenate([start + len(start) * np.array(triangle) for triangle in index])
+        vertices = np.concatenate(corners)
+    return vertices, faces
 
 
 def _extent_of(model: Any, geom: int) -> Array:
@@ -326,21 +354,20 @@ def vertex_normals(vertices: Array, faces: Faces) -> Array:
 
 
 def _joined(
-    model: Any, body: int, group: int, rgba: tuple[float, ...], site: bool, material: int, *, joined: list[_Part]
-) -> Piece:
+    model: Any, body: int, group: int, rgba: Color, site: bool, material: int = -1, tint: Color | None = None,
+    *, joined: list[_Part],
+) -> Piece:  # fmt: skip
     offsets = np.cumsum([0] + [len(part.vertices) for part in joined[:-1]])
     faces = np.concatenate([part.faces + offset for part, offset in zip(joined, offsets, strict=True)])
+    vertices = np.concatenate([part.vertices for part in joined])
     cover = None
-    if material >= 0:
+    if tint is not None:
         texture = textures.texture_of(model, material)
         assert texture is not None
-        white = np.maximum([*textures.mean_color(model, material), 1.0], 1e-9)
         coordinates = np.concatenate([part.coordinates for part in joined if part.coordinates is not None])
         normals = np.concatenate([part.normals for part in joined if part.normals is not None])
-        shininess = float(model.mat_shininess[material])
-        cover = Cover(texture.index, _rounded(np.array(rgba) / white), shininess, coordinates, normals)
-    vertices = np.concatenate([part.vertices for part in joined])
-    return Piece(body, vertices, faces, _rounded(np.array(rgba)), group, site, cover)
+        cover = Cover(texture.index, tint, float(model.mat_shininess[material]), coordinates, normals)
+    return Piece(body, vertices, faces, rgba, group, site, cover)
 
 
 _SHAPES = {

@@ -177,9 +177,9 @@ class Live(Served):
         """Stop and close the server; does nothing when not running."""
         self._ended.set()
         thread, self._thread = self._thread, None
+        if thread is not None and thread is not threading.current_thread():
+            thread.join()  # it may be sending a frame
         server, self._server = self._server, None
-        if thread is not None:
-            thread.join()
         if server is not None:
             with quiet():
                 server.stop()

@@ -21,7 +21,7 @@ from mjslq.viewer.playback import Playback
 from mjslq.viewer.scene import SceneView, quiet
 from mjslq.viewer.serving import Served
 
-_FRAMES = 30.0  # sent to the browser a second
+_FRAMES = 60.0  # sent to the browser a second
 _MARKS = 10.0  # moves of the plots' marks a second; each resends the curves
 _PLOTS_WIDTH, _CONTROLS_WIDTH = 390.0, 330.0  # [px]
 _ASPECT = 0.85  # of what the panels leave of a usual window
@@ -77,6 +77,8 @@ class Player(Served):
         self._plots: list[panels.SignalPlot] = []
         self._cost_plot: panels.CostPlot | None = None
         self._marked_at = -np.inf
+        self.frames = 0
+        """How many frames were sent so far."""
 
     @property
     def controls(self) -> Controls:
@@ -274,6 +276,7 @@ class Player(Served):
         if self._server is None or self._controls is None:
             return
         time, playing = self._playback.time, self._playback.playing
+        self.frames += 1
         with self._server.atomic():
             if self._view is not None:
                 if self._ghost_motion is not None:
@@ -296,7 +299,7 @@ class Player(Served):
                 self._wake.clear()
                 last = clock.monotonic()
                 continue
-            self._ended.wait(1.0 / _FRAMES)
+            self._ended.wait(max(last + 1.0 / _FRAMES - clock.monotonic(), 0.0))
             with self._lock:
                 now = clock.monotonic()
                 moved = self._playback.elapse(now - last)

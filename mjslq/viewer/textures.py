@@ -9,8 +9,10 @@ Notation
 MuJoCo's renderer places a texture by the role of the material's RGB layer:
 
     2D, on a mesh that brings coordinates      (s, t) of the mesh
-    2D, on everything else                     s = rep_0 X_0 / 2 - 1/2,   t = -rep_1 X_1 / 2 - 1/2
-                                               with texuniform, and on infinite planes: x in place of X
+    2D, on planes, height fields, meshes       s = rep_0 X_0 / 2 - 1/2,   t = -rep_1 X_1 / 2 - 1/2
+                                               with texuniform, and along infinite sides: x in place of X
+    2D, on other shapes                        rep (s', t'), with texuniform rep size (s', t'), where (s', t') runs from
+                                               0 to 1 over each side of a box, and round about and down the others
     cube                                       the direction X (x on a mesh, X * size with texuniform) from the
                                                middle of a cube whose six sides carry the image
 
@@ -82,6 +84,40 @@ def flat_coordinates(texture: Texture, points: Array, size: Array) -> Array:
     return 0.5 * scale * points[:, :2] * [1.0, -1.0] - 0.5
 
 
+def wrapped_coordinates(
+    texture: Texture, kind: Any, points: Array, faces: NDArray[np.intp], size: Array
+) -> tuple[Array, NDArray[np.intp]]:
+    """(s, t) (3 m, 2) of a 2D texture on a box, ellipsoid, capsule or cylinder, and the vertex of each corner (3 m,).
+
+    `points` (n, 3) [m] are the vertices of the geom, `size` (3,) [m] what its unit shape is scaled by.
+    """
+    X = (points / size)[faces]  # (m, 3, 3)
+    middle, shapes = X.mean(axis=1), mujoco.mjtGeom
+    if kind == shapes.mjGEOM_BOX:
+        axis = np.abs(middle).argmax(axis=1)
+        across, down = np.array([[1, 2], [0, 2], [0, 1]])[axis].T
+        rows = np.arange(len(faces))[:, None], np.arange(3)[None, :]
+        s, t = 0.5 + 0.5 * X[*rows, across[:, None]], 0.5 - 0.5 * X[*rows, down[:, None]]
+    else:
+        s = np.arctan2(X[..., 1], X[..., 0]) / (2.0 * np.pi) % 1.0
+        s += (s.max(axis=1, keepdims=True) - s > 0.5).astype(float)  # over the seam
+        axis_to = np.hypot(X[..., 0], X[..., 1])
+        pole = axis_to < 1e-9
+        s = np.where(pole, np.where(pole, 0.0, s).sum(axis=1, keepdims=True) / 2.0, s)
+        t = 0.5 - 0.5 * X[..., 2]
+        if kind == shapes.mjGEOM_CYLINDER:
+            cap = (np.abs(X[..., 2]).min(axis=1) > 1.0 - 1e-9) & (np.ptp(X[..., 2], axis=1) < 1e-9)
+            s[cap], t[cap] = 0.5 + 0.5 * X[cap][..., 0], 0.5 + 0.5 * X[cap][..., 1]
+        elif kind == shapes.mjGEOM_CAPSULE:
+            above = np.arccos(np.clip(axis_to, 0.0, 1.0)) / (0.5 * np.pi)  # 0 at the rim of a cap, 1 at its pole
+            top, bottom = middle[:, 2] > 1.0, middle[:, 2] < -1.0
+            t[top], t[bottom] = 1.0 - above[top], above[bottom]
+        else:
+            t = np.arccos(np.clip(X[..., 2], -1.0, 1.0)) / np.pi
+    scale = np.array(texture.repeat) * (size[:2] if texture.uniform else 1.0)
+    return np.stack([s, t], axis=2).reshape(-1, 2) * scale, faces.reshape(-1)
+
+
 def cube_coordinates(directions: Array, faces: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp]]:
     """Unfold a cube texture: (s, t) (3 m, 2) in the image of six sides, and the vertex of each corner (3 m,).
 
@@ -119,7 +155,11 @@ def glb(
     rgba: tuple[float, ...],
     shininess: float,
 ) -> bytes:
-    """A surface with an image on it as binary glTF."""
+    """A surface with an image on it as binary glTF.
+
+    Viser's page computes normals anew from the faces about each vertex: corners that agree in place, in normal and in
+    (s, t) share one, and no others do.
+    """
     import trimesh
     from PIL import Image
 
@@ -130,10 +170,12 @@ def glb(
         roughnessFactor=_ROUGHEST + (_SMOOTHEST - _ROUGHEST) * float(np.clip(shininess, 0.0, 1.0)),
         alphaMode="BLEND" if rgba[3] < 1.0 else "OPAQUE",
     )
-    visual = trimesh.visual.TextureVisuals(uv=coordinates * [1.0, -1.0] + [0.0, 1.0], material=material)
-    mesh = trimesh.Trimesh(vertices, faces, vertex_normals=normals, visual=visual, process=False)
+    corners = np.hstack([vertices, normals, coordinates]).round(6)
+    _, first, index = np.unique(corners, axis=0, return_index=True, return_inverse=True)
+    visual = trimesh.visual.TextureVisuals(uv=coordinates[first] * [1.0, -1.0] + [0.0, 1.0], material=material)
+    mesh = trimesh.Trimesh(vertices[first], index.reshape(-1)[faces], visual=visual, process=False)
     with io.BytesIO() as stream:
-        mesh.export(stream, file_type="glb", include_normals=True)
+        mesh.export(stream, file_type="glb", include_normals=False)
         return stream.getvalue()
 
 

@@ -54,9 +54,12 @@ def test_height_field_reaches_its_heights() -> None:
         f'<mujoco>{asset}<worldbody><geom type="hfield" hfield="hill"/></worldbody></mujoco>'
     )
     vertices, faces = geometry.geom_mesh(model, 0)
-    np.testing.assert_allclose([vertices.min(axis=0), vertices.max(axis=0)], [[-2, -1, 0], [2, 1, 0.5]])
+    np.testing.assert_allclose([vertices.min(axis=0), vertices.max(axis=0)], [[-2, -1, -0.1], [2, 1, 0.5]])
     normals = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
-    assert (normals[:, 2] > 0).all()
+    surface = np.abs(normals[:, 2]) > 1e-12
+    assert surface.sum() == 2 * 2 * 3 and (normals[surface, 2] > 0).all()
+    outward = np.einsum("ij,ij->i", normals, vertices[faces[:, 0]] - [0.0, 0.0, -0.1])
+    assert (outward[~surface] > 0).all()  # of the sides, from its middle
 
 
 def test_pieces_stand_where_mujoco_puts_their_geoms() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from mjslq.validation import Array
 from mjslq.viewer import geometry, textures
+from mjslq.viewer.batches import place
 from mjslq.viewer.layers.layer import Stage, color_bytes, linear_bytes, node_name
 from mjslq.viewer.motion import Frame
 
@@ -114,8 +115,7 @@ class Bodies:
     def _place_ghosts(self) -> None:
         positions, wxyzs, _ = self._ghost_poses
         for piece, handle in self._ghosts:
-            handle.batched_positions = positions[:, piece.body].astype(np.float32)
-            handle.batched_wxyzs = wxyzs[:, piece.body].astype(np.float32)
+            place(handle, positions[:, piece.body], wxyzs[:, piece.body])
 
     def _shown(self) -> list[_Drawn]:
         return [drawn for group in sorted(self.groups) for drawn in self._drawn.get(group, ()) if self._seen(drawn)]
@@ -134,16 +134,14 @@ class Bodies:
         self._place(np.ones(self._stage.model.nbody, dtype=bool))
 
     def _place(self, moved: Array) -> None:
-        positions = self._frame.positions.astype(np.float32)
-        wxyzs = self._frame.wxyzs.astype(np.float32)
+        positions, wxyzs = self._frame.positions, self._frame.wxyzs
         for group, some in self._drawn.items():
             if group not in self.groups:
                 continue
             for drawn in some:
                 body = drawn.piece.body
                 if drawn.moves and moved[body]:
-                    drawn.handle.batched_positions = positions[body : body + 1]
-                    drawn.handle.batched_wxyzs = wxyzs[body : body + 1]
+                    place(drawn.handle, positions[body : body + 1], wxyzs[body : body + 1])
 
     def _draw(self, group: int) -> list[_Drawn]:
         model, drawn = self._stage.model, []

@@ -1,7 +1,8 @@
 """Contact points and forces: a disc where two bodies touch, and an arrow for the force on the moving one.
 
 The forces are those of mj_contactForce at the states and controls of the trajectory, computed once for each motion.
-One scale serves a whole motion: the force that 98 % of its contacts stay below is a third of the model long.
+One scale serves a whole motion: the force that 80 % of its contacts stay below is a third of the model long, and no
+arrow longer than three times that.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from mjslq.validation import Array
 from mjslq.viewer.layers.layer import Layer, Stage, turn_z_to
 from mjslq.viewer.motion import Frame, Motion
 
-_LONGEST, _SHARE = 0.35, 98.0  # of the model's size; percentile of the forces
-_DISC, _SHAFT, _HEAD = 0.022, 0.008, 0.02  # radii, in sizes of the model
+_USUAL, _SHARE = 0.3, 80.0  # of the model's size; percentile of the forces
+_DISC, _SHAFT, _HEAD = 0.022, 0.006, 0.014  # radii, in sizes of the model
 _LEAST = 1e-3  # of the largest force: below it nothing presses
 
 
@@ -92,7 +93,7 @@ class Contacts(Layer):
         on = np.linalg.norm(presses.forces[n], axis=1) > _LEAST * max(presses.largest, 1e-12)
         positions, normals, forces = presses.positions[n][on], presses.normals[n][on], presses.forces[n][on]
         scale = self._presses(self._moved).scale or presses.scale
-        ends = positions + np.minimum(scale, 3.0 * _LONGEST * self._stage.length / _norms(forces))[:, None] * forces
+        ends = positions + np.minimum(scale, 3.0 * _USUAL * self._stage.length / _norms(forces))[:, None] * forces
         points = np.stack([positions, ends], axis=1).astype(np.float32)
         if points.shape != self._arrows.points.shape or not np.array_equal(points, self._arrows.points):
             self._arrows.points = points
@@ -115,7 +116,7 @@ class Contacts(Layer):
         norms = np.linalg.norm(forces, axis=2)
         largest = float(norms.max(initial=0.0))
         usual = np.percentile(norms[norms > 0.01 * largest], _SHARE) if largest > 0.0 else 0.0
-        scale = _LONGEST * self._stage.length / usual if usual > 0.0 else 0.0
+        scale = _USUAL * self._stage.length / usual if usual > 0.0 else 0.0
         return _Presses(found.positions, found.normals, forces, float(scale), largest)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from mjslq.scene import Marker
 from mjslq.validation import Array
+from mjslq.viewer.batches import place
 from mjslq.viewer.details import details
 from mjslq.viewer.geometry import geom_ball
 from mjslq.viewer.layers.layer import Layer, Stage
@@ -33,7 +34,7 @@ class Frames(Layer):
         return [_axes(self._stage, "frames/bodies", len(self._bodies))]
 
     def _pose(self, frame: Frame) -> None:
-        _place(self._handles[0], frame.positions[self._bodies], frame.wxyzs[self._bodies])
+        place(self._handles[0], frame.positions[self._bodies], frame.wxyzs[self._bodies])
 
 
 class SiteFrames(Layer):
@@ -47,7 +48,7 @@ class SiteFrames(Layer):
     def _pose(self, frame: Frame) -> None:
         model = self._stage.model
         positions, wxyzs = frame.positions[model.site_bodyid], frame.wxyzs[model.site_bodyid]
-        _place(self._handles[0], positions + rotated(wxyzs, model.site_pos), product(wxyzs, model.site_quat))
+        place(self._handles[0], positions + rotated(wxyzs, model.site_pos), product(wxyzs, model.site_quat))
 
 
 class JointAxes(Layer):
@@ -166,8 +167,3 @@ def _axes(stage: Stage, name: str, number: int) -> Any:
         axes_length=_AXIS * stage.length,
         axes_radius=_AXIS_RADIUS * stage.length,
     )
-
-
-def _place(handle: Any, positions: Array, wxyzs: Array) -> None:
-    handle.batched_positions = positions.astype(np.float32)
-    handle.batched_wxyzs = wxyzs.astype(np.float32)

@@ -121,7 +121,6 @@ class Surroundings:
         corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]) * [*sides, 1.0]
         coordinates = textures.flat_coordinates(texture, corners, model.geom_size[plane.geom])
         tint = geometry.tint_of(model, model.geom_rgba[plane.geom], int(model.geom_matid[plane.geom]))
-        assert tint is not None  # what has a texture has a material
         data = textures.glb(
             corners, np.array([[0, 1, 2], [0, 2, 3]]), np.tile([0.0, 0.0, 1.0], (4, 1)), coordinates,
             textures.image(model, texture.index), (*(self._stage.theme.dim * tint[:3]).tolist(), float(tint[3])), 0.0,

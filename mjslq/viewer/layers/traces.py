@@ -16,10 +16,12 @@ from mjslq.validation import Array
 from mjslq.viewer.geometry import Piece
 from mjslq.viewer.layers.layer import Layer, Stage, node_name
 from mjslq.viewer.motion import Frame, Motion, rotated
+from mjslq.viewer.theme import Color
 
 _CHOSEN = 4  # paths from the start, at most
 _PIECES = 24
 _WIDE, _THIN = 3.0, 1.5  # [px]
+_LATE = 3  # knots that the line ahead may begin too early, which saves most of its updates
 _PALE = 0.62  # share of the ground's colour in what is to come
 
 
@@ -40,6 +42,47 @@ class Point:
     def at(self, frame: Frame) -> Array:
         """Where it is at a time. Shape (3,). [m]"""
         return frame.positions[self.body] + rotated(frame.wxyzs[self.body], self.offset)
+
+
+@dataclass
+class _Line:
+    """A path in pieces: those that have passed, those to come, and one that time is in, drawn in two."""
+
+    point: Point
+    path: Array
+    spans: list[tuple[int, int]]
+    """First and last knot of each piece."""
+    parts: list[Any]
+    behind: Any
+    ahead: Any
+    states: list[int]
+    """Of each piece: 0 to come, 1 passed, 2 hidden."""
+    color: Color
+    pale: Color
+    ahead_from: tuple[int | None, int] = (None, -1)
+    """Piece and knot that `ahead` was last drawn from."""
+
+    def show(self, frame: Frame) -> None:
+        """Mark what has passed."""
+        now = self.point.at(frame)[None]
+        current = next((k for k, (_, b) in enumerate(self.spans) if frame.before < b), None)
+        if current is not None and frame.share >= 1.0 and frame.after == len(self.path) - 1:
+            current = None
+        for k, part in enumerate(self.parts):
+            state = 2 if k == current else int(current is None or k < current)
+            if state != self.states[k]:
+                self.states[k] = state
+                part.visible = state != 2
+                if state != 2:
+                    part.colors = np.array(self.color if state else self.pale, dtype=np.uint8)
+                    part.thickness = _WIDE if state else _THIN
+        a, b = self.spans[current] if current is not None else (0, 0)
+        none = self.path[:1]
+        self.behind.points = _segments(none if current is None else np.r_[self.path[a : frame.before + 1], now])
+        piece, knot = self.ahead_from
+        if piece != current or not 0 <= frame.before - knot < _LATE:
+            self.ahead_from = current, frame.before
+            self.ahead.points = _segments(none if current is None else np.r_[now, self.path[frame.after : b + 1]])
 
 
 class Traces(Layer):
@@ -96,41 +139,34 @@ class Traces(Layer):
             super().update(frame)
 
     def _build(self) -> list[Any]:
-        self._lines: list[tuple[Point, Array, list[tuple[int, int]], list[Any], Any]] = []
+        self._lines: list[_Line] = []
         handles = []
         for i, name in enumerate(self._chosen):
             point, color = self.points[name], self._stage.theme.paths[i % len(self._stage.theme.paths)]
             path = point.path(self._moved)
-            pale = self._stage.theme.faded(color, _PALE) if self._passed else color
             node = f"/traces/{name.replace('/', '_')}"
-            handles.append(self._line(node, _segments(path), pale, _THIN))
             if not self._passed:
+                handles.append(self._line(node, _segments(path), color, _THIN))
                 continue
+            pale = self._stage.theme.faded(color, _PALE)
             ends = np.unique(np.linspace(0, len(path) - 1, min(_PIECES, len(path) - 1) + 1).astype(int)).tolist()
             spans = list(pairwise(ends))
             parts = [
-                self._line(f"{node}/{k}", _segments(path[a : b + 1]), color, _WIDE, False)
-                for k, (a, b) in enumerate(spans)
+                self._line(f"{node} {k}", _segments(path[a : b + 1]), pale, _THIN) for k, (a, b) in enumerate(spans)
             ]
-            head = self._line(f"{node}/head", _segments(path[:1]), color, _WIDE)
-            self._lines.append((point, path, spans, parts, head))
-            handles += [*parts, head]
+            behind = self._line(f"{node} behind", _segments(path[:1]), color, _WIDE)
+            ahead = self._line(f"{node} ahead", _segments(path[:1]), pale, _THIN)
+            self._lines.append(_Line(point, path, spans, parts, behind, ahead, [0] * len(parts), color, pale))
+            handles += [*parts, behind, ahead]
         return handles
 
     def _pose(self, frame: Frame) -> None:
-        for point, path, spans, parts, head in self._lines:
-            start = 0
-            for (_, end), part in zip(spans, parts, strict=True):
-                behind = end <= frame.before + (frame.share >= 1.0)
-                start = end if behind else start
-                if part.visible != behind:
-                    part.visible = behind
-            last = path[start : frame.before + 1]
-            head.points = _segments(np.concatenate([last, point.at(frame)[None]]))
+        for line in self._lines:
+            line.show(frame)
 
-    def _line(self, name: str, segments: Array, color: Any, width: float, visible: bool = True) -> Any:
+    def _line(self, name: str, segments: Array, color: Any, width: float) -> Any:
         return self._stage.server.scene.add_line_segments(
-            name, segments, color, thickness=width, thickness_units="screen", visible=visible
+            name, segments, color, thickness=width, thickness_units="screen"
         )
 
 
