@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from mjslq.residuals import BoundResidual, Jacobian, Slopes
 from mjslq.trajectory import Trajectory
 from mjslq.user_function import UserFunction
 from mjslq.validation import Array
+
+if TYPE_CHECKING:
+    from mjslq.lift import Lift
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +62,10 @@ class BoundConstraint:
         """The same constraint on a horizon that starts at the time `t0` [s]."""
         residual = self.residual.at(t0)
         return self if residual is self.residual else replace(self, residual=residual)
+
+    def lifted(self, lift: Lift) -> BoundConstraint:
+        """The same constraint on the system whose states and controls hold duration and parameters."""
+        return replace(self, residual=self.residual.lifted(lift))
 
 
 class EntriesResidual(BoundResidual):
@@ -171,6 +178,11 @@ class EndResidual(BoundResidual):
         moved = EndResidual(self._dynamics, self._function, self.knots, self._grid)
         moved._times = self._grid + t0
         return moved
+
+    def lifted(self, lift: Lift) -> EndResidual:
+        """See `BoundResidual.lifted`."""
+        function = lift.function(self._function, float((self._times - self._grid)[0]), self._times)
+        return EndResidual(lift.system, function, self.knots, lift.clock(self.knots, ends=True))
 
     def _points(self, trajectory: Trajectory) -> Array:
         """(x_{n+1}, u_n) in a row. Shape (k, nx + nu)."""

@@ -66,10 +66,15 @@ class Knots:
         """`steps`, to index arrays of N rows."""
         return _compact(self.steps)
 
+    @property
+    def over_time(self) -> bool:
+        """Whether values at knots with a step are integrals over it."""
+        return self.name in ("running", "always")
+
     def scales(self, steps: Array) -> Array:
         """s_n, where the steps have these lengths (N,). Shape (k,)."""
         scales = np.ones(len(self))
-        if self.name in ("running", "always"):
+        if self.over_time:
             scales[: len(self.steps)] = steps[self.steps]
         return scales
 

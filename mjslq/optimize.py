@@ -9,11 +9,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, TextIO
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from mjslq import starts
 from mjslq.compiling import CompileClock
 from mjslq.log import IterationLog
+from mjslq.lowering import lowered
 from mjslq.options import COMMON, RECORDS, Stopping, check_tolerance, names
 from mjslq.problem import Problem
 from mjslq.result import Result
@@ -206,6 +208,7 @@ def solve(
         raise ValueError(f"problem must be a mjslq.Problem, got {type(problem).__name__}")
     if problem.dynamics.nu == 0:
         raise ValueError("this model has no controls, so there is nothing to optimize; give it actuators")
+    stated, problem = problem, problem.lifted
     method = choose("method", method, [*METHODS, *ALIASES])
     method = ALIASES.get(method, method)
     routed = ""
@@ -223,7 +226,7 @@ def solve(
     stopping = _stopping(settings)
     record = chosen.record(**settings)
     chosen.make(record).check(problem)
-    start = starts.read(problem, guess, U0, X0)
+    start = starts.read(stated, guess, U0, X0)
     if start.X is not None and problem.bound_constraints:
         raise ValueError("a problem with constraints takes no state guess X0; give controls, U0, or a policy, guess")
     if start.X is not None and not chosen.takes_states:
@@ -246,6 +249,7 @@ def solve(
         outcome = descend_with_foresight(here, make, stopping, monitor, interrupts)
         remarks = [start.remark, routed, outcome.remark]
         result = _result(outcome, monitor, problem, method, asdict(stopping) | asdict(record), remarks)
+        result = lowered(result, stated)
     if verbose:
         print(f"{result.status.value}: {result.message}", file=monitor.stream)
     return result
@@ -305,7 +309,7 @@ def _refuse_constraints(problem: Problem, method: str) -> None:
 
 
 def _refuse_wrong_derivatives(problem: Problem, U: Any) -> None:
-    trajectory = problem.dynamics.rollout(problem.x0, U)
+    trajectory = problem.dynamics.rollouts(np.asarray(problem.x0)[None], U[None])[0]
     if trajectory.diverged:
         return
     check = problem.dynamics.check_derivatives(trajectory)

@@ -3,7 +3,8 @@
     minimize   J(U) = sum_n l_n(x_n, u_n)   subject to   x_{n+1} = f_n(x_n, u_n),  x_0 given,  u within limits
 
 (Sideris and Bobrow 2005, (1)-(2)), and to constraints lower <= r(x_n, u_n, t_n) <= upper. The controls U are the
-unknowns, and what `constraints.Initial` frees of x_0; the states follow by rollout.
+unknowns, what `constraints.Initial` frees of x_0, and the final time and parameters where these are free
+(`mjslq.unknowns`); the states follow by rollout.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from mjslq.options import check as check_options
 from mjslq.residuals import Slopes
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
+from mjslq.unknowns import Unknowns
 from mjslq.validation import Array, as_array, count, finite, frozen, refrozen
 
 
@@ -53,6 +55,12 @@ class Problem:
     bounds: Bounds | None = None
     """Limits of the controls; the engine's own (`Bounds()`) unless given. `Bounds(u=None)` lifts them. Limits of the
     states, `Bounds(x=...)`, become the constraint "bounds"."""
+    free_time: tuple[float, float] | None = field(default=None, kw_only=True)
+    """(T_min, T_max): the final time is unknown, between these, and all steps are stretched alike. The search starts
+    from the duration of the system's own steps. [s]"""
+    free_parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict, kw_only=True)
+    """Parameters of the system that are unknown (`Dynamics.parameter_names`), by name, with their limits (lower,
+    upper). The search starts from their values in the system."""
     name: str = "problem"
     """For titles and messages."""
     U0: ArrayLike | None = None
@@ -73,6 +81,8 @@ class Problem:
     """The constraints on this horizon, but for those of the controls alone, which `box` has."""
     free_start: Mask | None = field(init=False, repr=False, default=None)
     """Tangent directions of the initial state that are unknown; None for none. Shape (ndx,)."""
+    unknowns: Unknowns | None = field(init=False, repr=False, default=None)
+    """What is unknown beside controls and initial state; None for nothing."""
     _terms: tuple[BoundTerm, ...] = field(init=False, repr=False, default=())
     _unpenalized: Problem | None = field(init=False, repr=False, default=None)
 
@@ -83,6 +93,7 @@ class Problem:
         dynamics.steps(N)
         store = object.__setattr__  # the way to fill a frozen record
         store(self, "x0", frozen(np.array(dynamics.checked_start(self.x0))))
+        store(self, "unknowns", Unknowns.of(dynamics, N, self.free_time, self.free_parameters))
         U0 = dynamics.initial_control if self.U0 is None else as_array("U0", self.U0)
         if U0.shape not in ((dynamics.nu,), (N, dynamics.nu)):
             raise ValueError(f"U0 must have shape ({dynamics.nu},) or ({N}, {dynamics.nu}), got {U0.shape}")
@@ -109,6 +120,10 @@ class Problem:
         store(self, "costs", tuple(terms))
         store(self, "_terms", tuple(bound))
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What pickle carries: not what is made when first asked for."""
+        return {name: value for name, value in vars(self).items() if name not in ("lifted", "_prepared")}
+
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(refrozen(state))
 
@@ -129,7 +144,9 @@ class Problem:
 
         Shares everything that does not depend on these: nothing is bound anew.
         """
-        moved = copy.copy(self)
+        moved = copy.copy(self)  # without what is made when first asked for
+        if "_prepared" in vars(self):
+            moved.__dict__["_prepared"] = self._prepared
         object.__setattr__(moved, "x0", frozen(np.array(self.dynamics.checked_start(x0))))
         if t0:
             terms = tuple(term.at(finite("t0", t0)) for term in self._terms)
@@ -147,6 +164,16 @@ class Problem:
         away = self.dynamics.difference(np.asarray(self.x0), x)
         return self.dynamics.integrate(np.asarray(self.x0), np.where(self.free_start, away, 0.0))
 
+    @cached_property
+    def lifted(self) -> Problem:
+        """The problem that methods solve: itself, or with free time or parameters the one that has them as states."""
+        return self if self.unknowns is None else self.unknowns.pose(self)
+
+    @property
+    def bound_terms(self) -> tuple[BoundTerm, ...]:
+        """The terms of the cost on this horizon."""
+        return self._terms
+
     def on(self, dynamics: Dynamics) -> Problem:
         """The same problem on an engine that differs from its own in nothing but the derivatives that it gives."""
         moved = copy.copy(self)
@@ -159,6 +186,8 @@ class Problem:
 
     def violation(self, trajectory: Trajectory) -> float:
         """Largest violation of a constraint or of a control's limits; 0 when all are met, infinite if diverged."""
+        if self.unknowns is not None:
+            return self.lifted.violation(self.unknowns.extended(self, trajectory))
         if trajectory.diverged:
             return math.inf
         controls = float(np.abs(trajectory.U - self.box.clip(trajectory.U)).max(initial=0.0))
@@ -167,6 +196,8 @@ class Problem:
 
     def violations(self, trajectory: Trajectory) -> dict[str, Array]:
         """Violation of each constraint at each knot, by its name; zero where it does not act. Shape (N + 1,)."""
+        if self.unknowns is not None:
+            return self.lifted.violations(self.unknowns.extended(self, trajectory))
         return {c.name: c.over_knots(c.violation(trajectory)) for c in self.bound_constraints}
 
     def penalized(self, terms: Sequence[BoundTerm]) -> Problem:
@@ -174,7 +205,6 @@ class Problem:
         made = copy.copy(self.unpenalized)
         object.__setattr__(made, "_terms", (*made._terms, *terms))
         object.__setattr__(made, "_unpenalized", self.unpenalized)
-        made.__dict__.pop("_prepared", None)  # that of these terms as well
         return made
 
     @property
@@ -188,6 +218,8 @@ class Problem:
 
     def costs_of_terms(self, trajectory: Trajectory) -> list[float]:
         """Cost of each bound term; infinite for a trajectory that diverged."""
+        if self.unknowns is not None:
+            return self.lifted.costs_of_terms(self.unknowns.extended(self, trajectory))[: len(self._terms)]
         if trajectory.diverged:
             return [math.inf] * len(self._terms)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -249,7 +281,12 @@ class Problem:
         return costates
 
     def gradient(self, trajectory: Trajectory) -> Array:
-        """Gradient dJ/dU by the adjoint recursion. Shape (N, nu).  (Sideris and Bobrow 2005, (8)-(10).)"""
+        """Gradient dJ/dU by the adjoint recursion. Shape (N, nu).  (Sideris and Bobrow 2005, (8)-(10).)
+
+        With free time or parameters: with these held at the trajectory's duration and the first values.
+        """
+        if self.unknowns is not None:
+            return self.lifted.gradient(self.unknowns.extended(self, trajectory))[:, : self.dynamics.nu]
         linearization = self.dynamics.linearize(trajectory)
         expansion = self.expand(trajectory, linearization)
         return adjoint(linearization.A, linearization.B, expansion.q, expansion.r)[1]

@@ -23,7 +23,7 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +35,9 @@ from mjslq.rotation import conjugate, inverse_right_jacobian, log, product
 from mjslq.trajectory import Trajectory
 from mjslq.user_function import UserFunction
 from mjslq.validation import Array, as_array, choose, per_step_vectors
+
+if TYPE_CHECKING:
+    from mjslq.lift import Lift
 
 
 class Identity(Enum):
@@ -120,6 +123,10 @@ class BoundResidual(ABC):
         """The same residual on a horizon that starts at the time `t0` [s]; itself where time does not enter."""
         return self
 
+    def lifted(self, lift: Lift) -> BoundResidual:
+        """The same residual on the system whose states and controls hold duration and parameters."""
+        return lift.padded(self)
+
 
 class StateResidual(BoundResidual):
     """difference(target_n, x_n)."""
@@ -196,6 +203,10 @@ class OutputResidual(BoundResidual):
     def curvature(self, trajectory: Trajectory, weights: Array, into: Expansion, output_weights: Array) -> None:
         """See `BoundResidual.curvature`."""
         output_weights[self.knots.at, self._columns] += weights
+
+    def lifted(self, lift: Lift) -> BoundResidual:
+        """See `BoundResidual.lifted`: outputs stay what they are."""
+        return self
 
     def _of_outputs(self, linearization: Linearization) -> tuple[Array, Array | None]:
         """C and D of the output; D is None where it is zero."""
@@ -300,6 +311,11 @@ class FunctionResidual(BoundResidual):
         moved = copy.copy(self)
         moved._times = self._grid + t0
         return moved
+
+    def lifted(self, lift: Lift) -> FunctionResidual:
+        """See `BoundResidual.lifted`."""
+        function = lift.function(self._function, float((self._times - self._grid)[0]), self._times)
+        return FunctionResidual(lift.system, function, self.knots, lift.clock(self.knots))
 
     def _points(self, trajectory: Trajectory) -> Array:
         """(x_n, u_n) in a row. Shape (k, nx + nu)."""

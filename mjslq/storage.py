@@ -36,6 +36,7 @@ FORMAT = 2
 PLAIN = (
     "message", "cost", "iterations", "gradient_norm", "constraint_violation", "seconds", "compile_seconds", "problem",
     "method", "options", "parameters", "names", "error", "cost_terms",
+    "unknowns",
 )  # fmt: skip
 """Fields that JSON holds as they are."""
 NAMED = ("violations", "multipliers", "knots")
@@ -113,8 +114,9 @@ def _result_of(header: dict[str, Any], arrays: dict[str, Array]) -> Result:
         if slash and kind in named:
             named[kind][name] = array
     return Result(
-        **{name: header[name] for name in PLAIN if name not in ("names", "cost_terms")},
+        **{name: header[name] for name in PLAIN if name not in ("names", "cost_terms", "unknowns")},
         cost_terms=header.get("cost_terms", {}),
+        unknowns=header.get("unknowns", {}),
         **named,
         names={kind: tuple(entries) for kind, entries in header["names"].items()},
         status=Status(header["status"]),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numba
@@ -56,6 +56,58 @@ def limits_of(given: Any, nu: int) -> Array:
             f"control_limits must have lower <= upper, but control {i} has {limits[i, 0]} and {limits[i, 1]}"
         )
     return limits
+
+
+def takes_time(f: Callable[..., Any]) -> bool:
+    """Whether a user's function takes t."""
+    return _positional(plain(f)) > 2
+
+
+def named_parameters(given: Any) -> tuple[Array, tuple[str, ...]]:
+    """p as an array, and its names: those of a mapping, or p[0], p[1], ...  Raises ValueError."""
+    if isinstance(given, Mapping):
+        return np.array(as_array("parameters", list(given.values()), ("size",))), tuple(map(str, given))
+    array = np.array(as_array("parameters", given, ("size",)))
+    return array, tuple(f"p[{i}]" for i in range(array.size))
+
+
+def probe(f: Callable[..., Any], nx: int, nu: int, parameters: Array) -> None:
+    """Call f once, so that a wrong shape is reported here and not from inside a rollout. Raises ValueError."""
+    try:
+        with np.errstate(all="ignore"):
+            value = np.asarray(plain(f)(np.zeros(nx), np.zeros(nu), 0.0, parameters))
+    except (IndexError, ValueError, TypeError) as error:
+        raise ValueError(f"f fails for x of shape ({nx},) and u of shape ({nu},): {error}") from None
+    if value.shape != (nx,):
+        raise ValueError(f"f must return shape ({nx},), got {value.shape}")
+
+
+def reading(
+    outputs: Callable[..., Any] | None, nx: int, nu: int, parameters: Array
+) -> tuple[Callable[..., Any], bool, int]:
+    """Outputs as a function of (x, u, t, p), whether it is compiled, and ny, by a call at the origin.
+
+    Compiled ones that return something other than an array or a number are called from Python.
+    """
+    if outputs is None:
+        return lambda x, u, t, p: np.zeros(0), False, 0
+    compiled = isinstance(outputs, Dispatcher)
+    read = with_all_arguments(outputs, compiled, "outputs")
+    try:
+        with np.errstate(all="ignore"):
+            value = plain(read)(np.zeros(nx), np.zeros(nu), 0.0, parameters)
+        y = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    except (IndexError, ValueError, TypeError) as error:
+        raise ValueError(
+            f"outputs fails for x of shape ({nx},) and u of shape ({nu},): {error}"
+        ) from None
+    if y.ndim != 1:
+        raise ValueError(f"outputs must return numbers in a row (ny,), got shape {y.shape}")
+    if compiled and isinstance(value, (float, np.floating)):
+        number = read
+        return numba.njit(lambda x, u, t, p: np.array([number(x, u, t, p)])), True, 1
+    compiled = compiled and isinstance(value, np.ndarray)
+    return read if compiled else lambda x, u, t, p: np.atleast_1d(plain(read)(x, u, t, p)), compiled, y.size
 
 
 def _positional(f: Callable[..., Any]) -> int:

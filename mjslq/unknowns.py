@@ -1,0 +1,152 @@
+"""Unknowns of a problem beside its controls: the final time and parameters of the system, each within limits.
+
+    T_min <= T <= T_max,    lower_j <= p_j <= upper_j
+
+`Unknowns.pose` makes of a problem with such the same one without: on a system that has them as constant states, which
+the first step's control sets (`dynamics.augmented`). All methods solve that one; `Problem.lifted` is it.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mjslq.dynamics.augmented import Augmented
+from mjslq.dynamics.dynamics import Dynamics
+from mjslq.lift import Lift
+from mjslq.lq.box import Box
+from mjslq.time_costs import UnusedControls
+from mjslq.trajectory import Trajectory
+from mjslq.validation import Array, choose, frozen
+
+if TYPE_CHECKING:
+    from mjslq.problem import Problem
+
+TIME = "final time"
+"""What results call the final time among the unknowns."""
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """Names, limits and first values of what is unknown."""
+
+    names: tuple[str, ...]
+    """The final time first, if it is free."""
+    lower: Array
+    """Shape (np,)."""
+    upper: Array
+    """Shape (np,)."""
+    timed: bool
+    """Whether the final time is free."""
+
+    @staticmethod
+    def of(dynamics: Dynamics, N: int, free_time: Any, free_parameters: Any) -> Unknowns | None:
+        """What a user wrote down; None where nothing is free. Raises ValueError."""
+        if not isinstance(free_parameters, Mapping):
+            raise ValueError(
+                f"free_parameters must be a mapping from names to (lower, upper), got {type(free_parameters).__name__}"
+            )
+        pairs = {} if free_time is None else {TIME: _time(free_time)}
+        for name, pair in free_parameters.items():
+            if not dynamics.parameter_names:
+                raise ValueError(
+                    f"free_parameters: the system has no parameter {name!r}, nor any other; name them when it is made, "
+                    f"as in FunctionDynamics(..., parameters={{{str(name)!r}: 1.0}})"
+                )
+            choose("free_parameters: parameter", name, dynamics.parameter_names)
+            pairs[name] = _pair(f"free_parameters[{name!r}]", pair, "(lower, upper)")
+        if not pairs:
+            return None
+        limits = np.array(list(pairs.values()))
+        made = Unknowns(tuple(pairs), frozen(limits[:, 0].copy()), frozen(limits[:, 1].copy()), free_time is not None)
+        try:
+            made.system(dynamics, N).at(made.start(dynamics, N))
+        except ValueError as error:
+            raise ValueError(f"{'free_time' if made.timed else 'free_parameters'}: {error}") from None
+        return made
+
+    def system(self, dynamics: Dynamics, N: int) -> Augmented:
+        """The system that has them as states."""
+        return Augmented(dynamics, N, self.names, self.lower, self.upper, self.timed)
+
+    def start(self, dynamics: Dynamics, N: int) -> Array:
+        """First values: those of the system as it was given, within the limits. Shape (np,)."""
+        return np.clip(self.system(dynamics, N).nominal, self.lower, self.upper)
+
+    def pose(self, problem: Problem) -> Problem:
+        """The problem on the augmented system."""
+        N = problem.horizon
+        system = self.system(problem.dynamics, N)
+        shares = np.concatenate([[0.0], np.cumsum(problem.dynamics.steps(N)) / system.duration])
+        lift, made = Lift(system, shares), copy.copy(problem)
+        store = object.__setattr__
+        for name in ("lifted", "_prepared"):
+            made.__dict__.pop(name, None)
+        terms = [term.lifted(lift) for term in problem.bound_terms]
+        free = problem.free_start
+        fields: dict[str, Any] = {
+            "unknowns": None,
+            "dynamics": system,
+            "x0": frozen(system.state(np.asarray(problem.x0))),
+            "box": self._box(problem.box),
+            "bound_constraints": tuple(c.lifted(lift) for c in problem.bound_constraints),
+            "free_start": None if free is None else np.append(free, np.zeros(len(self.names), np.bool_)),
+            "U0": frozen(self.controls(np.asarray(problem.U0), np.clip(system.nominal, self.lower, self.upper))),
+            "_terms": (*terms, UnusedControls(lift)),
+        }
+        for name, value in fields.items():
+            store(made, name, value)
+        return made
+
+    def controls(self, U: Array, values: Array) -> Array:
+        """Controls (N, nu) and values (np,) as controls of the augmented system. Shape (N, nu + np)."""
+        W = np.zeros((len(U), len(values)))
+        W[0] = values
+        return np.hstack([U, W])
+
+    def values_of(self, problem: Problem, guess: Any) -> Array:
+        """Values to start from: those of a guess, as far as it has some, within the limits. Shape (np,)."""
+        values = self.start(problem.dynamics, problem.horizon)
+        dt = np.asarray(getattr(guess, "dt", getattr(getattr(guess, "trajectory", None), "dt", 0.0)))
+        if self.timed and dt.shape == (problem.horizon,):
+            values[0] = float(dt.sum())
+        found = getattr(guess, "unknowns", {})
+        values = np.array([found.get(name, value) for name, value in zip(self.names, values, strict=True)])
+        return np.clip(values, self.lower, self.upper)
+
+    def extended(self, problem: Problem, trajectory: Trajectory) -> Trajectory:
+        """A trajectory of the problem as its user sees it, as one of the augmented system.
+
+        Its duration is the trajectory's; parameters, which a trajectory does not tell, are the first values.
+        """
+        system = problem.lifted.dynamics
+        assert isinstance(system, Augmented)
+        return system.extended(trajectory, self.values_of(problem, trajectory))
+
+    def _box(self, box: Box) -> Box:
+        """Limits of the first step's values; the others have no effect and no limits."""
+        N, size = len(box.lower), len(self.names)
+        lower, upper = np.full((N, size), -np.inf), np.full((N, size), np.inf)
+        lower[0], upper[0] = self.lower, self.upper
+        return Box(np.hstack([box.lower, lower]), np.hstack([box.upper, upper]))
+
+
+def _time(given: Any) -> tuple[float, float]:
+    lower, upper = _pair("free_time", given, "(T_min, T_max)")
+    if lower <= 0.0:
+        raise ValueError(f"free_time: T_min must be above zero, got {lower:g}")
+    return lower, upper
+
+
+def _pair(name: str, given: Any, words: str) -> tuple[float, float]:
+    try:
+        lower, upper = (float(limit) for limit in given)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be a pair {words}, got {given!r}") from None
+    if not lower <= upper or np.isinf(lower) and np.isinf(upper) and lower == upper:
+        raise ValueError(f"{name} must be a pair {words} with the lower one first, got {given!r}")
+    return lower, upper
