@@ -23,6 +23,7 @@ from mjslq.solvers.auto import Auto
 from mjslq.solvers.constrained import Constrained
 from mjslq.solvers.foresight import descend_with_foresight
 from mjslq.solvers.gradient import Gradient
+from mjslq.solvers.held_time import descend_with_time_held_first
 from mjslq.solvers.interrupts import Interrupts
 from mjslq.solvers.iterate import Iterate
 from mjslq.solvers.loop import Outcome
@@ -31,7 +32,7 @@ from mjslq.solvers.monitor import Monitor
 from mjslq.solvers.newton import Newton
 from mjslq.solvers.slq import SLQ
 from mjslq.solvers.trust_region import TrustRegion
-from mjslq.validation import choose
+from mjslq.validation import Array, choose
 
 
 @dataclass(frozen=True)
@@ -241,12 +242,16 @@ def solve(
         else:
             here = Iterate.guess(problem, start.X, start.U)
 
-        def make() -> Method:
+        def make(multipliers: Mapping[str, Array] = start.multipliers) -> Method:
             made = chosen.make(record)
-            made.warm_start(start.multipliers)
+            made.warm_start(multipliers)
             return made
 
-        outcome = descend_with_foresight(here, make, stopping, monitor, interrupts)
+        unknowns, rest = stated.unknowns, (stopping, monitor, interrupts)
+        if unknowns is not None and unknowns.begins_held(stated, guess):
+            outcome = descend_with_time_held_first(here, unknowns, make, start.multipliers, *rest)
+        else:
+            outcome = descend_with_foresight(here, make, *rest)
         remarks = [start.remark, routed, outcome.remark]
         result = _result(outcome, monitor, problem, method, asdict(stopping) | asdict(record), remarks)
         result = lowered(result, stated)

@@ -207,6 +207,12 @@ class Problem:
         object.__setattr__(made, "_unpenalized", self.unpenalized)
         return made
 
+    def with_terms(self, terms: Sequence[BoundTerm]) -> Problem:
+        """The same problem with more terms that belong to it."""
+        made = copy.copy(self)
+        object.__setattr__(made, "_terms", (*self._terms, *terms))
+        return made
+
     @property
     def unpenalized(self) -> Problem:
         """The problem as it was stated, without the terms that `penalized` added."""

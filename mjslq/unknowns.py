@@ -102,6 +102,14 @@ class Unknowns:
             store(made, name, value)
         return made
 
+    def held(self, lifted: Problem, values: Array) -> Problem:
+        """The problem on the augmented system with its values held. (np,)"""
+        lower, upper = (np.array(side) for side in lifted.box)
+        lower[0, -len(values) :] = upper[0, -len(values) :] = values
+        made = copy.copy(lifted)
+        object.__setattr__(made, "box", Box(lower, upper))
+        return made
+
     def controls(self, U: Array, values: Array) -> Array:
         """Controls (N, nu) and values (np,) as controls of the augmented system. Shape (N, nu + np)."""
         W = np.zeros((len(U), len(values)))
@@ -111,12 +119,16 @@ class Unknowns:
     def values_of(self, problem: Problem, guess: Any) -> Array:
         """Values to start from: those of a guess, as far as it has some, within the limits. Shape (np,)."""
         values = self.start(problem.dynamics, problem.horizon)
-        dt = np.asarray(getattr(guess, "dt", getattr(getattr(guess, "trajectory", None), "dt", 0.0)))
-        if self.timed and dt.shape == (problem.horizon,):
+        dt = guess_dt(guess)
+        if self.timed and dt is not None:
             values[0] = float(dt.sum())
         found = getattr(guess, "unknowns", {})
         values = np.array([found.get(name, value) for name, value in zip(self.names, values, strict=True)])
         return np.clip(values, self.lower, self.upper)
+
+    def begins_held(self, problem: Problem, guess: Any) -> bool:
+        """Whether a search begins with the final time held: constraints have to be met, and no motion is given."""
+        return self.timed and bool(problem.bound_constraints) and guess_dt(guess) is None
 
     def extended(self, problem: Problem, trajectory: Trajectory) -> Trajectory:
         """A trajectory of the problem as its user sees it, as one of the augmented system.
@@ -133,6 +145,12 @@ class Unknowns:
         lower, upper = np.full((N, size), -np.inf), np.full((N, size), np.inf)
         lower[0], upper[0] = self.lower, self.upper
         return Box(np.hstack([box.lower, lower]), np.hstack([box.upper, upper]))
+
+
+def guess_dt(guess: Any) -> Array | None:
+    """Step lengths of a guess that is a trajectory, a policy or a result; None of others. Shape (steps,)."""
+    dt = getattr(guess, "dt", getattr(getattr(guess, "trajectory", None), "dt", None))
+    return None if dt is None else np.asarray(dt)
 
 
 def _time(given: Any) -> tuple[float, float]:
