@@ -47,6 +47,8 @@ class Knots:
     """Steps of the horizon."""
     name: str | None = None
     """"running", "terminal", "always" or "initial"; None where the knots were listed."""
+    by_time: bool = False
+    """Whether they were listed by their times."""
 
     def __len__(self) -> int:
         return len(self.indices)
@@ -92,6 +94,7 @@ def knots_of(when: When, steps: Array) -> Knots:
     named = {"running": np.arange(N), "terminal": np.array([N]), "always": np.arange(N + 1), "initial": np.array([0])}
     if isinstance(when, str):
         return Knots(named[choose("when", when, NAMES)].astype(np.int64), N, when)
+    by_time = False
     if isinstance(when, slice):
         try:
             indices = np.arange(N + 1)[when]
@@ -99,11 +102,12 @@ def knots_of(when: When, steps: Array) -> Knots:
             raise ValueError(f"when must be {_CHOICES}, got {when!r}: {error}") from None
     else:
         indices = _listed(when, steps)
+        by_time = np.asarray(when).dtype.kind == "f"
     if not len(indices):
         raise ValueError(f"when must pick at least one of the knots 0 to {N}, but {when!r} picks none")
     if (np.diff(indices) <= 0).any():
         raise ValueError(f"when must name knots in ascending order, each of them once, got {_few(indices)}")
-    return Knots(indices.astype(np.int64), N)
+    return Knots(indices.astype(np.int64), N, by_time=by_time)
 
 
 def _listed(when: Any, steps: Array) -> NDArray[np.int64]:

@@ -19,9 +19,9 @@ from functools import cached_property
 
 import numpy as np
 
+from mjslq.bound_costs import KnotTerm
 from mjslq.dynamics.augmented import Augmented
 from mjslq.dynamics.dynamics import Linearization
-from mjslq.bound_costs import KnotTerm
 from mjslq.knots import Knots
 from mjslq.quadratic import Expansion
 from mjslq.residuals import BoundResidual, Identity, Jacobian, Slopes
@@ -132,9 +132,7 @@ class PaddedResidual(BoundResidual):
     def _padded(self, J: Jacobian) -> Jacobian:
         identity = np.broadcast_to(np.eye(self.size), (len(self.knots), self.size, self.size))
         x, u = (identity if isinstance(part, Identity) else part for part in J)
-        return Jacobian(
-            None if x is None else self._lift.columns_x(x), None if u is None else self._lift.columns_u(u)
-        )
+        return Jacobian(None if x is None else self._lift.columns_x(x), None if u is None else self._lift.columns_u(u))
 
 
 class LiftedFunction(UserFunction):

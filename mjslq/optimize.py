@@ -57,6 +57,8 @@ class MethodInfo:
     """Whether it takes initial states that are free (`constraints.Initial`)."""
     takes_equalities: bool = True
     """Whether these may be equalities."""
+    takes_unknowns: bool = True
+    """Whether it takes free time and parameters."""
     takes_both: bool = False
     """Whether it is made for problems without constraints as well, if it takes some."""
 
@@ -105,18 +107,19 @@ METHODS = {
         _when_asked("square_root_sweep", "SquareRootSweep"),
         "constraints corrected by fixed percentages, by Potter's sweep, as McQuade's thesis has it",
         "first derivatives", RECORDS["square-root-sweep"], takes_constraints=True, takes_free_start=True,
+        takes_unknowns=False,
     ),
     "pronto": MethodInfo(
         _when_asked("pronto", "Pronto"),
         "Newton over projected curves (Hauser): LQ directions, steps under a tracking controller",
         "first derivatives, second ones for order='newton'", RECORDS["pronto"], takes_constraints=True,
-        takes_equalities=False, takes_both=True,
+        takes_equalities=False, takes_unknowns=False, takes_both=True,
     ),
     "gopronto": MethodInfo(
         _when_asked("gopronto", "Gopronto"),
         "first-order steps under a tracking controller, no LQ problem in an iteration",
         "first derivatives, a few steps at a time", RECORDS["gopronto"], defaults={"max_iterations": 1000},
-        takes_constraints=True, takes_equalities=False, takes_both=True,
+        takes_constraints=True, takes_equalities=False, takes_unknowns=False, takes_both=True,
     ),
 }  # fmt: skip
 ALIASES = {"ilqr": "slq"}
@@ -212,6 +215,12 @@ def solve(
     stated, problem = problem, problem.lifted
     method = choose("method", method, [*METHODS, *ALIASES])
     method = ALIASES.get(method, method)
+    if stated.unknowns is not None and not METHODS[method].takes_unknowns:
+        takers = [name for name, entry in METHODS.items() if entry.takes_unknowns]
+        raise ValueError(
+            f"method {method!r} takes no free time or parameters, but the problem has "
+            f"{', '.join(stated.unknowns.names)}; these do: {', '.join(takers)}"
+        )
     routed = ""
     if problem.bound_constraints:
         if method == "auto":

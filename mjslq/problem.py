@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from mjslq import constraints as kinds
 from mjslq.bound_constraints import BoundConstraint
+from mjslq.bound_costs import KnotTerm
 from mjslq.bounds import Bounds
 from mjslq.costs import BoundTerm, CostTerm, Expansion
 from mjslq.dynamics.dynamics import Dynamics, Linearization
@@ -119,6 +120,9 @@ class Problem:
                 raise ValueError(f"costs[{i}] ({type(term).__name__}): {error}") from None
         store(self, "costs", tuple(terms))
         store(self, "_terms", tuple(bound))
+        if self.unknowns is not None:
+            acting = [(term.label, term.knots) for term in bound if isinstance(term, KnotTerm)]
+            self.unknowns.refuse_times(acting + [(c.name, c.residual.knots) for c in self.bound_constraints])
 
     def __getstate__(self) -> dict[str, Any]:
         """What pickle carries: not what is made when first asked for."""
@@ -168,6 +172,14 @@ class Problem:
     def lifted(self) -> Problem:
         """The problem that methods solve: itself, or with free time or parameters the one that has them as states."""
         return self if self.unknowns is None else self.unknowns.pose(self)
+
+    def fixed(self, values: Mapping[str, float]) -> Problem:
+        """The same problem with its free time and parameters at given values, such as `Result.unknowns`.
+
+        Those that are not named stay at their first values. For whatever takes a fixed horizon: `MPC`, simulation.
+        Raises ValueError for names that are not free and values beyond their limits.
+        """
+        return self if self.unknowns is None else self.unknowns.fixed(self, values)
 
     @property
     def bound_terms(self) -> tuple[BoundTerm, ...]:

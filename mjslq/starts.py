@@ -153,16 +153,14 @@ def read(problem: Problem, guess: Any, U0: ArrayLike | None, X0: ArrayLike | Non
     return start if X0 is None else start._replace(X=_states(problem, X0))
 
 
-def _with_values(
-    problem: Problem, unknowns: Unknowns, guess: Any, U0: ArrayLike | None, X0: ArrayLike | None
-) -> Start:
+def _with_values(problem: Problem, unknowns: Unknowns, guess: Any, U0: ArrayLike | None, X0: ArrayLike | None) -> Start:
     """A start for `Problem.lifted`: values of the unknowns from the guess, the rest on the system with these."""
     values, system = unknowns.values_of(problem, guess), unknowns.system(problem.dynamics, problem.horizon)
     fixed = problem.on(system.at(values))
     object.__setattr__(fixed, "unknowns", None)
     start = read(fixed, guess, U0, X0)
     if start.X is not None:
-        raise ValueError("a problem with free time or parameters takes no state guess X0; give controls, U0, or a guess")
+        raise ValueError("a problem with free time or parameters takes no state guess X0; give controls, U0")
     return start._replace(U=unknowns.controls(start.U, values), x0=system.state(start.x0))
 
 

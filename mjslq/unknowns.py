@@ -9,14 +9,15 @@ the first step's control sets (`dynamics.augmented`). All methods solve that one
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mjslq.dynamics.augmented import Augmented
 from mjslq.dynamics.dynamics import Dynamics
+from mjslq.knots import Knots
 from mjslq.lift import Lift
 from mjslq.lq.box import Box
 from mjslq.time_costs import UnusedControls
@@ -61,6 +62,8 @@ class Unknowns:
             pairs[name] = _pair(f"free_parameters[{name!r}]", pair, "(lower, upper)")
         if not pairs:
             return None
+        if len(pairs) < len(free_parameters) + (free_time is not None):
+            raise ValueError(f"free_parameters: {TIME!r} is what the final time is called; choose another name")
         limits = np.array(list(pairs.values()))
         made = Unknowns(tuple(pairs), frozen(limits[:, 0].copy()), frozen(limits[:, 1].copy()), free_time is not None)
         try:
@@ -68,6 +71,27 @@ class Unknowns:
         except ValueError as error:
             raise ValueError(f"{'free_time' if made.timed else 'free_parameters'}: {error}") from None
         return made
+
+    def refuse_times(self, knots: Iterable[tuple[str, Knots]]) -> None:
+        """Raise ValueError where something acts at a given time, at which there may be no knot: (what, where)."""
+        for what, at in knots:
+            if self.timed and at.by_time:
+                raise ValueError(
+                    f"{what}: when names times, but the final time is free, and with it the times of the knots; name "
+                    f"knots by their indices"
+                )
+
+    def fixed(self, problem: Problem, values: Mapping[str, float]) -> Problem:
+        """The problem with its unknowns at given values, by name. Raises ValueError."""
+        for name in values:
+            choose("unknown", name, self.names)
+        start = self.start(problem.dynamics, problem.horizon)
+        found = np.array([values.get(name, value) for name, value in zip(self.names, start, strict=True)], np.float64)
+        for name, value, low, high in zip(self.names, found, self.lower, self.upper, strict=True):
+            if not low <= value <= high:
+                raise ValueError(f"{name} must be within [{low:g}, {high:g}], got {value:g}")
+        engine = self.system(problem.dynamics, problem.horizon).at(found)
+        return replace(problem, dynamics=engine, free_time=None, free_parameters={})
 
     def system(self, dynamics: Dynamics, N: int) -> Augmented:
         """The system that has them as states."""
@@ -130,14 +154,20 @@ class Unknowns:
         """Whether a search begins with the final time held: constraints have to be met, and no motion is given."""
         return self.timed and bool(problem.bound_constraints) and guess_dt(guess) is None
 
-    def extended(self, problem: Problem, trajectory: Trajectory) -> Trajectory:
+    def extended(
+        self, problem: Problem, trajectory: Trajectory, values: Mapping[str, float] | None = None
+    ) -> Trajectory:
         """A trajectory of the problem as its user sees it, as one of the augmented system.
 
-        Its duration is the trajectory's; parameters, which a trajectory does not tell, are the first values.
+        Its duration is the trajectory's unless values are given; parameters, which a trajectory does not tell, are the
+        first values.
         """
         system = problem.lifted.dynamics
         assert isinstance(system, Augmented)
-        return system.extended(trajectory, self.values_of(problem, trajectory))
+        found = self.values_of(problem, trajectory)
+        if values is not None:
+            found = np.array([values[name] for name in self.names])
+        return system.extended(trajectory, found)
 
     def _box(self, box: Box) -> Box:
         """Limits of the first step's values; the others have no effect and no limits."""
@@ -165,6 +195,6 @@ def _pair(name: str, given: Any, words: str) -> tuple[float, float]:
         lower, upper = (float(limit) for limit in given)
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be a pair {words}, got {given!r}") from None
-    if not lower <= upper or np.isinf(lower) and np.isinf(upper) and lower == upper:
+    if not lower <= upper or (np.isinf(lower) and np.isinf(upper) and lower == upper):
         raise ValueError(f"{name} must be a pair {words} with the lower one first, got {given!r}")
     return lower, upper

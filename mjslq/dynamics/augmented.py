@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,11 +44,11 @@ class Augmented(Dynamics):
     ) -> None:
         self.inner, self.names, self.timed = inner, names, timed
         """The engine, the names of the values, and whether the first of them is the final time."""
-        self.variation: Variation = inner.variation(names[timed:])
+        self.varied: Variation = inner.variation(names[timed:])
         steps = inner.steps(N)
         self.duration = float(steps.sum())
         """T_0. [s]"""
-        self.nominal = np.concatenate([[self.duration], self.variation.nominal]) if timed else self.variation.nominal
+        self.nominal = np.concatenate([[self.duration], self.varied.nominal]) if timed else self.varied.nominal
         """The values of the engine as it was given."""
         self._N, self._lower, self._upper = N, lower, upper
         size = len(names)
@@ -70,7 +69,7 @@ class Augmented(Dynamics):
     def at(self, values: Array) -> Dynamics:
         """The engine with these values (np,): not to be kept, the next call sets others."""
         stretch = float(values[0]) / self.duration if self.timed else 1.0
-        return self.variation.at(stretch, np.asarray(values[self.timed :], dtype=np.float64))
+        return self.varied.at(stretch, np.asarray(values[self.timed :], dtype=np.float64))
 
     def stripped(self, trajectory: Trajectory) -> Trajectory:
         """States, controls and outputs of the engine."""
@@ -218,9 +217,7 @@ class Augmented(Dynamics):
         """Within which differences by a value are taken: any time above zero will do."""
         return (0.0, np.inf) if self.timed and j == 0 else (float(self._lower[j]), float(self._upper[j]))
 
-    def _beside(
-        self, values: Array, j: int, X: Array, U: Array, ends: Array
-    ) -> Callable[[float], tuple[Array, Array]]:
+    def _beside(self, values: Array, j: int, X: Array, U: Array, ends: Array) -> Callable[[float], tuple[Array, Array]]:
         """Steps and outputs at values moved along entry j, steps as directions from `ends`."""
 
         def moved(offset: float) -> tuple[Array, Array]:
@@ -272,5 +269,5 @@ class Augmented(Dynamics):
 
 
 def _contiguous(trajectory: Trajectory) -> Trajectory:
-    arrays: list[Any] = [np.ascontiguousarray(array) for array in (trajectory.X, trajectory.U, trajectory.Y)]
-    return Trajectory.unchecked(*arrays, trajectory.dt, trajectory.diverged_at, trajectory.substates)  # type: ignore[arg-type]
+    X, U, Y = (np.ascontiguousarray(array) for array in (trajectory.X, trajectory.U, trajectory.Y))
+    return Trajectory.unchecked(X, U, Y, np.asarray(trajectory.dt), trajectory.diverged_at, trajectory.substates)

@@ -21,7 +21,6 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, Self
 
-import numba
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from numpy.typing import ArrayLike

@@ -58,13 +58,13 @@ def limits_of(given: Any, nu: int) -> Array:
     return limits
 
 
-def takes_time(f: Callable[..., Any]) -> bool:
+def takes_time(f: Callable[..., Any] | None) -> bool:
     """Whether a user's function takes t."""
-    return _positional(plain(f)) > 2
+    return f is not None and _positional(plain(f)) > 2
 
 
 def named_parameters(given: Any) -> tuple[Array, tuple[str, ...]]:
-    """p as an array, and its names: those of a mapping, or p[0], p[1], ...  Raises ValueError."""
+    """P as an array, and its names: those of a mapping, or p[0], p[1], ...  Raises ValueError."""
     if isinstance(given, Mapping):
         return np.array(as_array("parameters", list(given.values()), ("size",))), tuple(map(str, given))
     array = np.array(as_array("parameters", given, ("size",)))
@@ -98,9 +98,7 @@ def reading(
             value = plain(read)(np.zeros(nx), np.zeros(nu), 0.0, parameters)
         y = np.atleast_1d(np.asarray(value, dtype=np.float64))
     except (IndexError, ValueError, TypeError) as error:
-        raise ValueError(
-            f"outputs fails for x of shape ({nx},) and u of shape ({nu},): {error}"
-        ) from None
+        raise ValueError(f"outputs fails for x of shape ({nx},) and u of shape ({nu},): {error}") from None
     if y.ndim != 1:
         raise ValueError(f"outputs must return numbers in a row (ny,), got shape {y.shape}")
     if compiled and isinstance(value, (float, np.floating)):

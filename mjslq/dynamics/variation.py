@@ -17,8 +17,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-
 from mjslq.validation import Array
 
 if TYPE_CHECKING:

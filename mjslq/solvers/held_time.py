@@ -93,12 +93,12 @@ def _at(problem: Problem, start: Iterate, values: Array) -> Iterate:
 
 def _with_effort(problem: Problem, start: Iterate, size: int) -> Problem:
     """The problem with the effort of controls in its cost that the cost leaves free."""
-    dynamics, N = problem.dynamics, problem.horizon
+    dynamics = problem.dynamics
     curvature = np.abs(np.einsum("nii->ni", start.expansion.R)).max(axis=0)[:-size]
     free = curvature <= FREE * max(1.0, float(curvature.max(initial=0.0)))
     if not free.any():
         return problem
-    limits = np.minimum(*np.abs(problem.box)[:, :, :-size]).min(axis=0)  # type: ignore[call-overload]
+    limits = np.minimum(*np.abs(problem.box)[:, :, :-size]).min(axis=0)
     limits = np.where(np.isfinite(limits) & (limits > 0.0), limits, 1.0)
     W = np.zeros((1, dynamics.nu, dynamics.nu))
     at = np.flatnonzero(free)

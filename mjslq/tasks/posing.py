@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 _LIST = re.compile(r"^(costs|constraints)\[(\d+)\] \([^)]*\): (.*)$", re.DOTALL)
 """How `Problem` names the term that does not fit."""
+_FREE = re.compile(r"^(free_time|free_parameters)(?:: | )(.*)$", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Poser:
 
     def problem(self) -> Problem:
         """The problem. Raises `TaskError`."""
-        x0 = self._x0()
+        x0, task = self._x0(), self.task
         N = self.horizon
         terms = [self._at(("costs", i), self._cost, cost, x0) for i, cost in enumerate(self.task.costs)]
         held = [self._at(("constraints", i), self._constraint, c) for i, c in enumerate(self.task.constraints)]
@@ -48,6 +49,8 @@ class Poser:
         try:
             problem = Problem(
                 self.dynamics, N, x0, terms, constraints=held, bounds=bounds, U0=self._controls(),
+                free_time=None if task.free_time is None else (task.free_time[0], task.free_time[1]),
+                free_parameters={name: (low, high) for name, (low, high) in (task.free_parameters or {}).items()},
                 name=self.task.name or self.source.name.rsplit(".", 1)[0],
             )  # fmt: skip
         except TaskError:
@@ -66,7 +69,9 @@ class Poser:
 
     def _placed(self, sentence: str) -> str:
         """A complaint of `Problem`'s, with the line of the table that it is about."""
-        match = _LIST.match(sentence)
+        match, free = _LIST.match(sentence), _FREE.match(sentence)
+        if free is not None:
+            return self.source.sentence((free[1],), free[2])
         if match is None:
             return f"{self.source.name}: {sentence}"
         return self.source.sentence((match[1], int(match[2])), match[3])
@@ -147,6 +152,8 @@ class Poser:
         return (names.index(joint), dof) if of == "position" else (nq + dof, nv + dof)
 
     def _cost(self, cost: schema.Cost, x0: Array) -> CostTerm:
+        if isinstance(cost, schema.TimeCost):
+            return costs.Time(cost.weight)
         loss: dict[str, Any] = {"loss": cost.loss, "width": cost.width}
         when = self._when(cost.when)
         if isinstance(cost, schema.ControlCost):

@@ -79,7 +79,9 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
         "model", "smooth", "stiff" or a `mjslq.Contact`: parameters of all contacts in place of the model's own.
     foresight
         Distance from which on bodies feel each other in derivatives, and in these alone; see `contacts`. [m]
-    parameters
+
+    Parameters
+    ----------
         Numbers of the model that a problem may make unknown (`Problem.free_parameters`), by names of your own:
         quantities such as "body/pole/mass" or "geom/foot/friction/0", or pairs (set, value) of a function
         set(model, value) and the value now; see `variation`.

@@ -22,8 +22,11 @@ from mjslq.validation import Array, choose, finite
 if TYPE_CHECKING:
     from mjslq.dynamics.mujoco.engine import MujocoDynamics
 
-KINDS = ("body", "joint", "geom", "site", "actuator", "tendon", "equality", "pair", "sensor")
-"""What has quantities by name."""
+KINDS = {
+    "body": "nbody", "joint": "njnt", "geom": "ngeom", "site": "nsite", "actuator": "nu", "tendon": "ntendon",
+    "equality": "neq", "pair": "npair", "sensor": "nsensor",
+}  # fmt: skip
+"""What has quantities by name, and what its number is called."""
 
 
 class Field(NamedTuple):
@@ -32,11 +35,11 @@ class Field(NamedTuple):
     kind: str
     name: str
     field: str
-    index: int
+    entry: int
 
-    def __call__(self, model: mujoco.MjModel, value: float) -> None:
+    def write(self, model: Any, value: float) -> None:
         """Write the value."""
-        self.of(model)[self.index] = value
+        self.of(model)[self.entry] = value
 
     def of(self, model: mujoco.MjModel) -> Any:
         """The array that it is an entry of."""
@@ -46,7 +49,7 @@ class Field(NamedTuple):
 class Parameter(NamedTuple):
     """What sets a parameter, and what it is in the model as given."""
 
-    set: Callable[[mujoco.MjModel, float], object]
+    set: Callable[[Any, float], object]
     value: float
 
 
@@ -66,7 +69,7 @@ def parameters_of(given: Mapping[str, Any] | None, model: mujoco.MjModel) -> dic
 def _parameter(what: Any, model: mujoco.MjModel) -> Parameter:
     if isinstance(what, str):
         field = _field(what, model)
-        return Parameter(field, float(field.of(model)[field.index]))
+        return Parameter(field.write, float(field.of(model)[field.entry]))
     if isinstance(what, tuple) and len(what) == 2 and callable(what[0]):
         return Parameter(what[0], finite("its value", what[1]))
     raise ValueError(
@@ -80,9 +83,7 @@ def _field(text: str, model: mujoco.MjModel) -> Field:
     if len(parts) not in (3, 4):
         raise ValueError(f'must be "kind/name/field" or "kind/name/field/index", got {text!r}')
     kind, name, field = choose("kind of quantity", parts[0], KINDS), parts[1], parts[2]
-    number = {"body": model.nbody, "joint": model.njnt, "geom": model.ngeom, "site": model.nsite, "pair": model.npair,
-              "actuator": model.nu, "tendon": model.ntendon, "equality": model.neq, "sensor": model.nsensor}  # fmt: skip
-    names = [getattr(model, kind)(i).name for i in range(number[kind])]
+    names = [getattr(model, kind)(i).name for i in range(getattr(model, KINDS[kind]))]
     view = getattr(model, kind)(choose(kind, name, [found for found in names if found]))
     arrays = [entry for entry in dir(view) if isinstance(getattr(view, entry, None), np.ndarray)]
     numbers = [entry for entry in arrays if getattr(view, entry).dtype.kind == "f"]
