@@ -206,10 +206,14 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
 
     def with_model(self, change: Callable[[mujoco.MjModel], None]) -> MujocoDynamics:
         """The same system on a copy of the model in which something is changed, with memory of its own."""
+        from mjslq.dynamics.mujoco.inverse.cover import choose_jacobian
+
         other = copy.copy(self)
         other._given = copy.copy(self._given)
         change(other._given)
         other.model = contacts.with_contact(other._given, self.contact)
+        if self.jacobian == "inverse":
+            other.jacobian = choose_jacobian(other.model, "auto")
         return other
 
     def retime(self, timestep: float) -> None:

@@ -27,6 +27,8 @@ KINDS = {
     "equality": "neq", "pair": "npair", "sensor": "nsensor",
 }  # fmt: skip
 """What has quantities by name, and what its number is called."""
+DERIVED = ("invweight0", "subtreemass", "M0", "acc0", "length0", "lengthspring")
+"""What MuJoCo computes from the rest."""
 
 
 class Field(NamedTuple):
@@ -86,7 +88,7 @@ def _field(text: str, model: mujoco.MjModel) -> Field:
     names = [getattr(model, kind)(i).name for i in range(getattr(model, KINDS[kind]))]
     view = getattr(model, kind)(choose(kind, name, [found for found in names if found]))
     arrays = [entry for entry in dir(view) if isinstance(getattr(view, entry, None), np.ndarray)]
-    numbers = [entry for entry in arrays if getattr(view, entry).dtype.kind == "f"]
+    numbers = [entry for entry in arrays if getattr(view, entry).dtype.kind == "f" and entry not in DERIVED]
     array = np.reshape(getattr(view, choose(f"number of a {kind}", field, numbers)), -1)
     index = int(parts[3]) if len(parts) == 4 and parts[3].isdigit() else 0 if len(parts) == 3 else -1
     if not 0 <= index < array.size or (len(parts) == 3 and array.size > 1):
