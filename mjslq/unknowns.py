@@ -58,7 +58,10 @@ class Unknowns:
                     f"free_parameters: the system has no parameter {name!r}, nor any other; name them when it is made, "
                     f"as in FunctionDynamics(..., parameters={{{str(name)!r}: 1.0}})"
                 )
-            choose("free_parameters: parameter", name, dynamics.parameter_names)
+            try:
+                choose("parameter", name, dynamics.parameter_names)
+            except ValueError as error:
+                raise ValueError(f"free_parameters: {error}") from None
             pairs[name] = _pair(f"free_parameters[{name!r}]", pair, "(lower, upper)")
         if not pairs:
             return None
@@ -126,10 +129,10 @@ class Unknowns:
             store(made, name, value)
         return made
 
-    def held(self, lifted: Problem, values: Array) -> Problem:
-        """The problem on the augmented system with its values held. (np,)"""
+    def held(self, lifted: Problem, time: float) -> Problem:
+        """The problem on the augmented system with its final time held. [s]"""
         lower, upper = (np.array(side) for side in lifted.box)
-        lower[0, -len(values) :] = upper[0, -len(values) :] = values
+        lower[0, -len(self.names)] = upper[0, -len(self.names)] = time
         made = copy.copy(lifted)
         object.__setattr__(made, "box", Box(lower, upper))
         return made

@@ -85,5 +85,10 @@ def of_pinocchio(integrator="semi-implicit-euler", floating=False, **options):
     damping = {"j1": 0.2, "j2": 0.1}
     dynamics = PinocchioDynamics.from_model(model, 0.01, outputs=["b"], integrator=integrator, damping=damping)
     x0 = np.concatenate([pin.neutral(model), np.full(model.nv, 0.3)])
-    terms = [costs.Control(0.1), costs.Time(0.3), costs.State(1.0, x0, "always"), costs.Sensor("b", [0.1, 0, -0.4], 3.0)]
+    terms = [
+        costs.Control(0.1),
+        costs.Time(0.3),
+        costs.State(1.0, x0, "always"),
+        costs.Sensor("b", [0.1, 0, -0.4], 3.0),
+    ]
     return Problem(dynamics, 20, x0, terms, **({"free_time": (0.05, 4.0)} | options))

@@ -55,25 +55,25 @@ def descend_with_time_held_first(
 ) -> Outcome:
     """Descend from `start` in two parts; see the head of this file."""
     size, multipliers, remark = len(unknowns.names), given, ""
-    values, here, tried = start.trajectory.U[0, -size:].copy(), start, False
+    time, here = float(start.trajectory.U[0, -size]), start
     for _ in range(TRIES):
-        problem = _with_effort(unknowns.held(start.problem, values), start, size)
+        problem = _with_effort(unknowns.held(start.problem, time), start, size)
         loose = dataclasses.replace(
             stopping, tol_direction=max(LOOSE, stopping.tol_direction), max_iterations=_left(stopping, monitor, MOST)
         )
-        first = descend(_at(problem, start, values), make(given), loose, monitor, interrupts)
+        first = descend(_at(problem, start, size, time), make(given), loose, monitor, interrupts)
         if first.status not in (*ENDED, Status.MAX_ITERATIONS) or not _left(stopping, monitor, 1):
             first.iterate = Iterate(start.problem, first.iterate.trajectory)
-            first.remark = f"The final time was still held, at {values[0]:.6g} s. {first.remark}"
+            first.remark = f"The final time was still held, at {time:.6g} s. {first.remark}"
             return first
         if first.status is Status.CONVERGED:
             here = Iterate(start.problem, first.iterate.trajectory)
             multipliers, remark = first.duals.multipliers, f"The final time was held for {monitor.steps} iterations."
             break
-        longer = min(STRETCH * values[0], float(unknowns.upper[0]))
-        if tried and longer == values[0]:
+        longer = min(STRETCH * time, float(unknowns.upper[0]))
+        if longer == time:
             break
-        values[0], tried = longer, True
+        time = longer
     left = dataclasses.replace(stopping, max_iterations=_left(stopping, monitor, stopping.max_iterations))
     second = descend_with_foresight(here, lambda: make(multipliers), left, monitor, interrupts)
     second.remark = " ".join(part for part in (remark, second.remark) if part)
@@ -84,10 +84,10 @@ def _left(stopping: Stopping, monitor: Monitor, most: int) -> int:
     return min(max(stopping.max_iterations - monitor.steps, 0), most)
 
 
-def _at(problem: Problem, start: Iterate, values: Array) -> Iterate:
-    """The start under other values."""
+def _at(problem: Problem, start: Iterate, size: int, time: float) -> Iterate:
+    """The start with another final time."""
     U = start.trajectory.U.copy()
-    U[0, -len(values) :] = values
+    U[0, -size] = time
     return Iterate(problem, problem.dynamics.rollouts(start.trajectory.X[:1], U[None])[0])
 
 
