@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,9 @@ from mjslq.residuals import BoundResidual, Jacobian, Slopes
 from mjslq.trajectory import Trajectory
 from mjslq.user_function import UserFunction
 from mjslq.validation import Array
+
+if TYPE_CHECKING:
+    from mjslq.lift import Lift
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +71,10 @@ class BoundConstraint:
         except ValueError as error:
             raise ValueError(f"constraint {self.name!r} from t = {t0:g} s on: {error}") from None
         return replace(self, residual=residual, lower=lower, upper=upper)
+
+    def lifted(self, lift: Lift) -> BoundConstraint:
+        """The same constraint on the system whose states and controls hold duration and parameters."""
+        return replace(self, residual=self.residual.lifted(lift))
 
 
 class EntriesResidual(BoundResidual):
@@ -180,6 +187,11 @@ class EndResidual(BoundResidual):
         moved = EndResidual(self._dynamics, self._function, self.knots, self._grid)
         moved._times = self._grid + t0
         return moved
+
+    def lifted(self, lift: Lift) -> EndResidual:
+        """See `BoundResidual.lifted`."""
+        function = lift.function(self._function, float((self._times - self._grid)[0]), self._times)
+        return EndResidual(lift.system, function, self.knots, lift.clock(self.knots, ends=True))
 
     def _points(self, trajectory: Trajectory) -> Array:
         """(x_{n+1}, u_n) in a row. Shape (k, nx + nu)."""

@@ -13,6 +13,7 @@ With Sideris and Bobrow's quadratic costs (3)-(4) nothing is left out.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from mjslq.quadratic import Expansion, add_congruence, add_products, transposed_
 from mjslq.residuals import BoundResidual, FunctionResidual, Identity, Jacobian, Slopes
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
+
+if TYPE_CHECKING:
+    from mjslq.lift import Lift
 
 
 class BoundTerm(ABC):
@@ -67,17 +71,49 @@ class BoundTerm(ABC):
         """
         return self
 
+    @abstractmethod
+    def lifted(self, lift: Lift) -> BoundTerm:
+        """The same term on the system whose states and controls hold duration and parameters."""
 
-class ResidualCost(BoundTerm):
+
+class KnotTerm(BoundTerm):
+    """A term that has a cost at each of its knots."""
+
+    knots: Knots
+    over_time: bool
+    """Whether costs at knots with a step are integrals, which grow with its length."""
+    squared: bool = False
+    """Whether it is a sum of squares, whose Gauss-Newton Hessian is that of residuals times a root of the length."""
+
+    @abstractmethod
+    def values(self, trajectory: Trajectory) -> Array:
+        """Cost at each of the k knots. Shape (k,)."""
+
+    @abstractmethod
+    def padded(self, lift: Lift) -> KnotTerm:
+        """`lifted`, but with steps of the length that they had when the term was bound."""
+
+    def lifted(self, lift: Lift) -> BoundTerm:
+        """See `BoundTerm.lifted`."""
+        term = self.padded(lift)
+        return lift.scaled(term) if self.over_time and lift.timed else term
+
+
+class ResidualCost(KnotTerm):
     """A loss of a residual."""
 
-    def __init__(self, residual: BoundResidual, loss: Loss, label: str) -> None:
-        self.label, self._residual, self._loss = label, residual, loss
+    def __init__(self, residual: BoundResidual, loss: Loss, label: str, over_time: bool = False) -> None:
+        self.label, self._residual, self._loss, self.over_time = label, residual, loss, over_time
+        self.knots, self.squared = residual.knots, loss.constant
         self._prepared = loss.constant and residual.constant_jacobian is not None
 
     def cost(self, trajectory: Trajectory) -> float:
         """See `BoundTerm.cost`."""
         return self._loss.total(self._residual.value(trajectory))
+
+    def values(self, trajectory: Trajectory) -> Array:
+        """See `KnotTerm.values`."""
+        return self._loss.value(self._residual.value(trajectory))
 
     def prepare(self, into: Expansion) -> None:
         """See `BoundTerm.prepare`."""
@@ -122,18 +158,28 @@ class ResidualCost(BoundTerm):
     def at(self, t0: float) -> BoundTerm:
         """See `BoundTerm.at`."""
         residual = self._residual.at(t0)
-        return self if residual is self._residual else ResidualCost(residual, self._loss, self.label)
+        return self if residual is self._residual else ResidualCost(residual, self._loss, self.label, self.over_time)
+
+    def padded(self, lift: Lift) -> ResidualCost:
+        """See `KnotTerm.padded`."""
+        return ResidualCost(self._residual.lifted(lift), self._loss, self.label, self.over_time)
 
 
-class FunctionCost(BoundTerm):
+class FunctionCost(KnotTerm):
     """s_n l(x_n, u_n, t_n); the part of its Hessian below zero is left out of `expand`."""
 
-    def __init__(self, residual: FunctionResidual, scales: Array, label: str) -> None:
-        self.label, self._residual, self._scales = label, residual, scales[:, None]
+    def __init__(self, residual: FunctionResidual, scales: Array, label: str, over_time: bool = False) -> None:
+        self.label, self._residual, self._scales, self.over_time = label, residual, scales[:, None], over_time
+        self.knots = residual.knots
 
     def cost(self, trajectory: Trajectory) -> float:
         """See `BoundTerm.cost`."""
         return float(np.vdot(self._scales, self._residual.value(trajectory)))
+
+    def values(self, trajectory: Trajectory) -> Array:
+        """See `KnotTerm.values`."""
+        found: Array = (self._scales * self._residual.value(trajectory))[:, 0]
+        return found
 
     def slopes(self, trajectory: Trajectory, into: Slopes) -> None:
         """See `BoundTerm.slopes`."""
@@ -158,7 +204,11 @@ class FunctionCost(BoundTerm):
 
     def at(self, t0: float) -> BoundTerm:
         """See `BoundTerm.at`."""
-        return FunctionCost(self._residual.at(t0), self._scales[:, 0], self.label)
+        return FunctionCost(self._residual.at(t0), self._scales[:, 0], self.label, self.over_time)
+
+    def padded(self, lift: Lift) -> FunctionCost:
+        """See `KnotTerm.padded`."""
+        return FunctionCost(self._residual.lifted(lift), self._scales[:, 0], self.label, self.over_time)
 
 
 def add_hessian(knots: Knots, J: Jacobian, curvature: LossCurvature, into: Expansion) -> None:

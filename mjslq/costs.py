@@ -39,8 +39,9 @@ from mjslq.knots import Knots, When, knots_of
 from mjslq.losses import LossName, bind_loss, check_loss
 from mjslq.quadratic import Expansion as Expansion
 from mjslq.targets import Timed
+from mjslq.time_costs import TimeCost
 from mjslq.user_function import UserCost, UserFunction
-from mjslq.validation import Array, choose, per_step_matrices
+from mjslq.validation import Array, choose, finite, per_step_matrices
 
 
 class CostTerm(ABC):
@@ -281,7 +282,19 @@ class Function(CostTerm):
         function = UserCost("l", self.l, dynamics.nx, dynamics.nu, self.gradient, self.hessian, self.parameters)
         residual = residuals.FunctionResidual(dynamics, function, knots)
         label = f"Function {getattr(self.l, '__name__', type(self.l).__name__)!r}, {knots}"
-        return (FunctionCost(residual, knots.scales(steps), label),)
+        return (FunctionCost(residual, knots.scales(steps), label, knots.over_time),)
+
+
+@dataclass(frozen=True)
+class Time(CostTerm):
+    """The duration T itself, times a weight: for problems whose final time is free, minimum time for one."""
+
+    weight: float = 1.0
+    """Cost of a second; a number of any sign."""
+
+    def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
+        """See `CostTerm.bind`."""
+        return (TimeCost(finite("weight", self.weight)),)
 
 
 def _bind(
@@ -307,7 +320,7 @@ def _bind(
         W = per_step_matrices(name, weight, 1, residual.size, definite=False)
         if W.any():
             loss = bind_loss(term.loss, term.width, W, knots.scales(steps))
-            bound.append(ResidualCost(residual, loss, f"{kind}, {knots}"))
+            bound.append(ResidualCost(residual, loss, f"{kind}, {knots}", knots.over_time))
     return tuple(bound)
 
 

@@ -49,6 +49,8 @@ class Knots:
     """Of the knots, after the start of the horizon. Shape (k,). [s]"""
     name: str | None = None
     """"running", "terminal", "always" or "initial"; None where the knots were listed."""
+    by_time: bool = False
+    """Whether they were listed by their times."""
 
     def __len__(self) -> int:
         return len(self.indices)
@@ -68,10 +70,15 @@ class Knots:
         """`steps`, to index arrays of N rows."""
         return _compact(self.steps)
 
+    @property
+    def over_time(self) -> bool:
+        """Whether values at knots with a step are integrals over it."""
+        return self.name in ("running", "always")
+
     def scales(self, steps: Array) -> Array:
         """s_n, where the steps have these lengths (N,). Shape (k,)."""
         scales = np.ones(len(self))
-        if self.name in ("running", "always"):
+        if self.over_time:
             scales[: len(self.steps)] = steps[self.steps]
         return scales
 
@@ -90,6 +97,7 @@ def knots_of(when: When, steps: Array) -> Knots:
     if isinstance(when, str):
         indices = named[choose("when", when, NAMES)].astype(np.int64)
         return Knots(indices, N, grid[indices], when)
+    by_time = False
     if isinstance(when, slice):
         try:
             indices = np.arange(N + 1)[when]
@@ -97,11 +105,12 @@ def knots_of(when: When, steps: Array) -> Knots:
             raise ValueError(f"when must be {_CHOICES}, got {when!r}: {error}") from None
     else:
         indices = _listed(when, grid)
+        by_time = np.asarray(when).dtype.kind == "f"
     if not len(indices):
         raise ValueError(f"when must pick at least one of the knots 0 to {N}, but {when!r} picks none")
     if (np.diff(indices) <= 0).any():
         raise ValueError(f"when must name knots in ascending order, each of them once, got {_few(indices)}")
-    return Knots(indices.astype(np.int64), N, grid[indices])
+    return Knots(indices.astype(np.int64), N, grid[indices], by_time=by_time)
 
 
 def _listed(when: Any, grid: Array) -> NDArray[np.int64]:

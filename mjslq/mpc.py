@@ -158,6 +158,11 @@ class MPC:
     ) -> None:
         if not isinstance(problem, Problem):
             raise ValueError(f"problem must be a mjslq.Problem, got {type(problem).__name__}")
+        if problem.unknowns is not None:
+            raise ValueError(
+                f"a receding horizon takes no free time or parameters, but the problem has "
+                f"{', '.join(problem.unknowns.names)}; fix them, as in MPC(problem.fixed(result.unknowns))"
+            )
         steps = problem.dynamics.steps(problem.horizon)
         if np.ptp(steps) > NEAR * steps.max():
             raise ValueError(

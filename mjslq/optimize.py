@@ -9,11 +9,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, TextIO
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from mjslq import starts
 from mjslq.compiling import CompileClock
 from mjslq.log import IterationLog
+from mjslq.lowering import lowered
 from mjslq.options import COMMON, RECORDS, Stopping, check_tolerance, names
 from mjslq.problem import Problem
 from mjslq.result import Result
@@ -21,6 +23,7 @@ from mjslq.solvers.auto import Auto
 from mjslq.solvers.constrained import Constrained
 from mjslq.solvers.foresight import descend_with_foresight
 from mjslq.solvers.gradient import Gradient
+from mjslq.solvers.held_time import descend_with_time_held_first
 from mjslq.solvers.interrupts import Interrupts
 from mjslq.solvers.iterate import Iterate
 from mjslq.solvers.loop import Outcome
@@ -29,7 +32,7 @@ from mjslq.solvers.monitor import Monitor
 from mjslq.solvers.newton import Newton
 from mjslq.solvers.slq import SLQ
 from mjslq.solvers.trust_region import TrustRegion
-from mjslq.validation import choose, count, describe, flag, function, instance
+from mjslq.validation import Array, choose, count, describe, flag, function, instance
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,8 @@ class MethodInfo:
     """Whether it takes initial states that are free (`constraints.Initial`)."""
     takes_equalities: bool = True
     """Whether these may be equalities."""
+    takes_unknowns: bool = True
+    """Whether it takes free time and parameters."""
     takes_both: bool = False
     """Whether it is made for problems without constraints as well, if it takes some."""
 
@@ -102,18 +107,19 @@ METHODS = {
         _when_asked("square_root_sweep", "SquareRootSweep"),
         "constraints corrected by fixed percentages, by Potter's sweep, as McQuade's thesis has it",
         "first derivatives", RECORDS["square-root-sweep"], takes_constraints=True, takes_free_start=True,
+        takes_unknowns=False,
     ),
     "pronto": MethodInfo(
         _when_asked("pronto", "Pronto"),
         "Newton over projected curves (Hauser): LQ directions, steps under a tracking controller",
         "first derivatives, second ones for order='newton'", RECORDS["pronto"], takes_constraints=True,
-        takes_equalities=False, takes_both=True,
+        takes_equalities=False, takes_unknowns=False, takes_both=True,
     ),
     "gopronto": MethodInfo(
         _when_asked("gopronto", "Gopronto"),
         "first-order steps under a tracking controller, no LQ problem in an iteration",
         "first derivatives, a few steps at a time", RECORDS["gopronto"], defaults={"max_iterations": 1000},
-        takes_constraints=True, takes_equalities=False, takes_both=True,
+        takes_constraints=True, takes_equalities=False, takes_unknowns=False, takes_both=True,
     ),
 }  # fmt: skip
 ALIASES = {"ilqr": "slq"}
@@ -212,8 +218,15 @@ def solve(
         raise ValueError(f"stream must be a file that is open for writing, got {describe(stream)}")
     if problem.dynamics.nu == 0:
         raise ValueError("this model has no controls, so there is nothing to optimize; give it actuators")
+    stated, problem = problem, problem.lifted
     method = choose("method", method, [*METHODS, *ALIASES])
     method = ALIASES.get(method, method)
+    if stated.unknowns is not None and not METHODS[method].takes_unknowns:
+        takers = [name for name, entry in METHODS.items() if entry.takes_unknowns]
+        raise ValueError(
+            f"method {method!r} takes no free time or parameters, but the problem has "
+            f"{', '.join(stated.unknowns.names)}; these do: {', '.join(takers)}"
+        )
     routed = ""
     if problem.bound_constraints:
         if method == "auto":
@@ -229,7 +242,7 @@ def solve(
     stopping = _stopping(settings)
     record = chosen.record(**settings)
     chosen.make(record).check(problem)
-    start = starts.read(problem, guess, U0, X0)
+    start = starts.read(stated, guess, U0, X0)
     if start.X is not None and problem.bound_constraints:
         raise ValueError("a problem with constraints takes no state guess X0; give controls, U0, or a policy, guess")
     if start.X is not None and not chosen.takes_states:
@@ -244,14 +257,19 @@ def solve(
         else:
             here = Iterate.guess(problem, start.X, start.U)
 
-        def make() -> Method:
+        def make(multipliers: Mapping[str, Array] = start.multipliers) -> Method:
             made = chosen.make(record)
-            made.warm_start(start.multipliers)
+            made.warm_start(multipliers)
             return made
 
-        outcome = descend_with_foresight(here, make, stopping, monitor, interrupts)
+        unknowns, rest = stated.unknowns, (stopping, monitor, interrupts)
+        if unknowns is not None and unknowns.begins_held(stated, guess):
+            outcome = descend_with_time_held_first(here, unknowns, make, start.multipliers, *rest)
+        else:
+            outcome = descend_with_foresight(here, make, *rest)
         remarks = [start.remark, routed, outcome.remark]
         result = _result(outcome, monitor, problem, method, asdict(stopping) | asdict(record), remarks)
+        result = lowered(result, stated)
     monitor.say(f"{result.status.value}: {result.message}")
     return result
 
@@ -310,7 +328,7 @@ def _refuse_constraints(problem: Problem, method: str) -> None:
 
 
 def _refuse_wrong_derivatives(problem: Problem, U: Any) -> None:
-    trajectory = problem.dynamics.rollout(problem.x0, U)
+    trajectory = problem.dynamics.rollouts(np.asarray(problem.x0)[None], U[None])[0]
     if trajectory.diverged:
         return
     check = problem.dynamics.check_derivatives(trajectory)

@@ -3,7 +3,8 @@
     minimize   J(U) = sum_n l_n(x_n, u_n)   subject to   x_{n+1} = f_n(x_n, u_n),  x_0 given,  u within limits
 
 (Sideris and Bobrow 2005, (1)-(2)), and to constraints lower <= r(x_n, u_n, t_n) <= upper. The controls U are the
-unknowns, and what `constraints.Initial` frees of x_0; the states follow by rollout.
+unknowns, what `constraints.Initial` frees of x_0, and the final time and parameters where these are free
+(`mjslq.unknowns`); the states follow by rollout.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from mjslq import constraints as kinds
 from mjslq.bound_constraints import BoundConstraint
+from mjslq.bound_costs import KnotTerm
 from mjslq.bounds import Bounds
 from mjslq.costs import BoundTerm, CostTerm, Expansion
 from mjslq.dynamics.dynamics import Dynamics, Linearization
@@ -31,6 +33,7 @@ from mjslq.options import check as check_options
 from mjslq.residuals import Slopes
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
+from mjslq.unknowns import Unknowns
 from mjslq.validation import Array, as_array, count, describe, finite, frozen, function, instance, refrozen
 
 LONGEST = 10_000_000
@@ -57,6 +60,12 @@ class Problem:
     bounds: Bounds | None = None
     """Limits of the controls; the engine's own (`Bounds()`) unless given. `Bounds(u=None)` lifts them. Limits of the
     states, `Bounds(x=...)`, become the constraint "bounds"."""
+    free_time: tuple[float, float] | None = field(default=None, kw_only=True)
+    """(T_min, T_max): the final time is unknown, between these, and all steps are stretched alike. The search starts
+    from the duration of the system's own steps. [s]"""
+    free_parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict, kw_only=True)
+    """Parameters of the system that are unknown (`Dynamics.parameter_names`), by name, with their limits (lower,
+    upper). The search starts from their values in the system."""
     name: str = "problem"
     """For titles and messages."""
     U0: ArrayLike | None = None
@@ -79,6 +88,8 @@ class Problem:
     """Tangent directions of the initial state that are unknown; None for none. Shape (ndx,)."""
     t0: float = field(init=False, default=0.0)
     """Time at which the horizon begins: functions of time in costs and constraints see t0 + t_n; see `at`. [s]"""
+    unknowns: Unknowns | None = field(init=False, repr=False, default=None)
+    """What is unknown beside controls and initial state; None for nothing."""
     _terms: tuple[BoundTerm, ...] = field(init=False, repr=False, default=())
     _unpenalized: Problem | None = field(init=False, repr=False, default=None)
 
@@ -91,6 +102,7 @@ class Problem:
         dynamics.steps(N)
         store = object.__setattr__  # the way to fill a frozen record
         store(self, "x0", frozen(np.array(dynamics.checked_start(self.x0))))
+        store(self, "unknowns", Unknowns.of(dynamics, N, self.free_time, self.free_parameters))
         U0 = dynamics.initial_control if self.U0 is None else as_array("U0", self.U0)
         if U0.shape not in ((dynamics.nu,), (N, dynamics.nu)):
             raise ValueError(f"U0 must have shape ({dynamics.nu},) or ({N}, {dynamics.nu}), got {U0.shape}")
@@ -117,6 +129,15 @@ class Problem:
                 raise ValueError(f"costs[{i}] ({type(term).__name__}): {error}") from None
         store(self, "costs", tuple(terms))
         store(self, "_terms", tuple(bound))
+        if self.unknowns is not None:
+            acting = [(term.label, term.knots) for term in bound if isinstance(term, KnotTerm)]
+            self.unknowns.refuse_functions((f"costs[{i}]", term) for i, term in enumerate(terms))
+            self.unknowns.refuse_functions((f"constraints[{i}]", term) for i, term in enumerate(self.constraints))
+            self.unknowns.refuse_times(acting + [(c.name, c.residual.knots) for c in self.bound_constraints])
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What pickle carries: not what is made when first asked for."""
+        return {name: value for name, value in vars(self).items() if name not in ("lifted", "_prepared")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(refrozen(state))
@@ -161,7 +182,7 @@ class Problem:
 
         Raises ValueError for a state that is not one, and where a function of time fails at its new times.
         """
-        moved, store = copy.copy(self), object.__setattr__
+        moved, store = self._copied(), object.__setattr__
         store(moved, "x0", frozen(np.array(self.dynamics.checked_start(x0))))
         if finite("t0", t0) == self.t0:
             return moved
@@ -176,8 +197,15 @@ class Problem:
 
     def with_constraints(self, constraints: tuple[BoundConstraint, ...]) -> Problem:
         """The same problem with these in place of its `bound_constraints`."""
-        made = copy.copy(self)
+        made = self._copied()
         object.__setattr__(made, "bound_constraints", constraints)
+        return made
+
+    def _copied(self) -> Problem:
+        """A copy with the same terms of the cost, and what is prepared for these."""
+        made = copy.copy(self)
+        if "_prepared" in vars(self):
+            made.__dict__["_prepared"] = self._prepared
         return made
 
     def _box_at(self, t0: float) -> Box:
@@ -199,6 +227,24 @@ class Problem:
         away = self.dynamics.difference(np.asarray(self.x0), x)
         return self.dynamics.integrate(np.asarray(self.x0), np.where(self.free_start, away, 0.0))
 
+    @cached_property
+    def lifted(self) -> Problem:
+        """The problem that methods solve: itself, or with free time or parameters the one that has them as states."""
+        return self if self.unknowns is None else self.unknowns.pose(self)
+
+    def fixed(self, values: Mapping[str, float]) -> Problem:
+        """The same problem with its free time and parameters at given values, such as `Result.unknowns`.
+
+        Those that are not named stay at their first values. For whatever takes a fixed horizon: `MPC`, simulation.
+        Raises ValueError for names that are not free and values beyond their limits.
+        """
+        return self if self.unknowns is None else self.unknowns.fixed(self, values)
+
+    @property
+    def bound_terms(self) -> tuple[BoundTerm, ...]:
+        """The terms of the cost on this horizon."""
+        return self._terms
+
     def on(self, dynamics: Dynamics) -> Problem:
         """The same problem on an engine that differs from its own in nothing but the derivatives that it gives."""
         moved = copy.copy(self)
@@ -212,6 +258,8 @@ class Problem:
     def violation(self, trajectory: Trajectory) -> float:
         """Largest violation of a constraint or of a control's limits; 0 when all are met, infinite if diverged."""
         self._check(trajectory)
+        if self.unknowns is not None:
+            return self.lifted.violation(self.unknowns.extended(self, trajectory))
         if trajectory.diverged:
             return math.inf
         controls = float(np.abs(trajectory.U - self.box.clip(trajectory.U)).max(initial=0.0))
@@ -220,6 +268,8 @@ class Problem:
 
     def violations(self, trajectory: Trajectory) -> dict[str, Array]:
         """Violation of each constraint at each knot, by its name; zero where it does not act. Shape (N + 1,)."""
+        if self.unknowns is not None:
+            return self.lifted.violations(self.unknowns.extended(self, trajectory))
         return {c.name: c.over_knots(c.violation(trajectory)) for c in self.bound_constraints}
 
     def penalized(self, terms: Sequence[BoundTerm]) -> Problem:
@@ -227,7 +277,12 @@ class Problem:
         made = copy.copy(self.unpenalized)
         object.__setattr__(made, "_terms", (*made._terms, *terms))
         object.__setattr__(made, "_unpenalized", self.unpenalized)
-        made.__dict__.pop("_prepared", None)  # that of these terms as well
+        return made
+
+    def with_terms(self, terms: Sequence[BoundTerm]) -> Problem:
+        """The same problem with more terms that belong to it."""
+        made = copy.copy(self)
+        object.__setattr__(made, "_terms", (*self._terms, *terms))
         return made
 
     @property
@@ -242,6 +297,8 @@ class Problem:
 
     def costs_of_terms(self, trajectory: Trajectory) -> list[float]:
         """Cost of each bound term; infinite for a trajectory that diverged."""
+        if self.unknowns is not None:
+            return self.lifted.costs_of_terms(self.unknowns.extended(self, trajectory))[: len(self._terms)]
         if trajectory.diverged:
             return [math.inf] * len(self._terms)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -303,7 +360,12 @@ class Problem:
         return costates
 
     def gradient(self, trajectory: Trajectory) -> Array:
-        """Gradient dJ/dU by the adjoint recursion. Shape (N, nu).  (Sideris and Bobrow 2005, (8)-(10).)"""
+        """Gradient dJ/dU by the adjoint recursion. Shape (N, nu).  (Sideris and Bobrow 2005, (8)-(10).)
+
+        With free time or parameters: with these held at the trajectory's duration and the first values.
+        """
+        if self.unknowns is not None:
+            return self.lifted.gradient(self.unknowns.extended(self, trajectory))[:, : self.dynamics.nu]
         self._check(trajectory)
         linearization = self.dynamics.linearize(trajectory)
         expansion = self.expand(trajectory, linearization)

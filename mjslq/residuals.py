@@ -23,7 +23,7 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,6 +36,9 @@ from mjslq.targets import Rows, Timed, unit_quaternions
 from mjslq.trajectory import Trajectory
 from mjslq.user_function import UserFunction
 from mjslq.validation import Array, as_array, choose, per_step_vectors
+
+if TYPE_CHECKING:
+    from mjslq.lift import Lift
 
 
 class Identity(Enum):
@@ -120,6 +123,10 @@ class BoundResidual(ABC):
     def at(self, t0: float) -> BoundResidual:
         """The same residual on a horizon that starts at the time `t0` [s]; itself where time does not enter."""
         return self
+
+    def lifted(self, lift: Lift) -> BoundResidual:
+        """The same residual on the system whose states and controls hold duration and parameters."""
+        return lift.padded(self)
 
 
 class Targeted(BoundResidual):
@@ -215,6 +222,10 @@ class OutputResidual(Targeted):
         """See `BoundResidual.curvature`."""
         output_weights[self.knots.at, self._columns] += weights
 
+    def lifted(self, lift: Lift) -> BoundResidual:
+        """See `BoundResidual.lifted`: outputs stay what they are."""
+        return self
+
     def _of_outputs(self, linearization: Linearization) -> tuple[Array, Array | None]:
         """C and D of the output; D is None where it is zero."""
         C = np.ascontiguousarray(linearization.C[self.knots.at, self._columns])
@@ -262,9 +273,9 @@ class FunctionResidual(BoundResidual):
 
     curved = True
 
-    def __init__(self, dynamics: Dynamics, function: UserFunction, knots: Knots) -> None:
+    def __init__(self, dynamics: Dynamics, function: UserFunction, knots: Knots, clock: Array | None = None) -> None:
         self.knots, self.size, self._dynamics, self._function = knots, function.size, dynamics, function
-        self._times = knots.times
+        self._clock = self._times = knots.times if clock is None else clock
 
     def value(self, trajectory: Trajectory) -> Array:
         """See `BoundResidual.value`."""
@@ -316,8 +327,13 @@ class FunctionResidual(BoundResidual):
     def at(self, t0: float) -> FunctionResidual:
         """See `BoundResidual.at`."""
         moved = copy.copy(self)
-        moved._times = self.knots.times + t0
+        moved._times = self._clock + t0
         return moved
+
+    def lifted(self, lift: Lift) -> FunctionResidual:
+        """See `BoundResidual.lifted`."""
+        function = lift.function(self._function, float((self._times - self._clock)[0]), self._times)
+        return FunctionResidual(lift.system, function, self.knots, lift.clock(self.knots))
 
     def _points(self, trajectory: Trajectory) -> Array:
         """(x_n, u_n) in a row. Shape (k, nx + nu)."""

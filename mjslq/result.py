@@ -17,6 +17,7 @@ from mjslq.policy import Policy
 from mjslq.scene import Scene
 from mjslq.status import Status
 from mjslq.trajectory import Trajectory
+from mjslq.unknowns import TIME
 from mjslq.validation import Array
 
 
@@ -52,7 +53,8 @@ class Result:
     Shape (N + 1,)."""
     multipliers: dict[str, Array] = field(default_factory=dict)
     """Multipliers by the name of what they belong to: "controls" for the limits of the controls, positive at an upper
-    limit and negative at a lower one, shape (N, nu); those of the constraints in the same way, one for each of the k
+    limit and negative at a lower one, shape (N, nu); "final time" and free parameters, shape (1,), where the problem
+    has such; those of the constraints in the same way, one for each of the k
     knots where a constraint acts and each of its m entries, shape (k, m): -dJ/d(limit)."""
     knots: dict[str, NDArray[np.int64]] = field(default_factory=dict)
     """Knots that the multipliers of each constraint belong to, by its name. Whole numbers, shape (k,)."""
@@ -85,6 +87,8 @@ class Result:
     fail. Shape (N, nu)."""
     contact: Contact | None = None
     """How hard bodies touched in the model that it was solved with; None where the engine knows no contacts."""
+    unknowns: dict[str, float] = field(default_factory=dict)
+    """What was found of the problem's free time, "final time" [s], and of its free parameters, by name."""
     error: str = ""
     """Traceback of the error that ended the solve; empty for other endings."""
 
@@ -92,6 +96,16 @@ class Result:
     def success(self) -> bool:
         """Whether the solve converged."""
         return self.status is Status.CONVERGED
+
+    @property
+    def final_time(self) -> float:
+        """Duration of `trajectory`, free or not. [s]"""
+        return float(np.sum(self.trajectory.dt))
+
+    @property
+    def free_parameters(self) -> dict[str, float]:
+        """Values found for the problem's free parameters, by name."""
+        return {name: value for name, value in self.unknowns.items() if name != TIME}
 
     @property
     def active_limits(self) -> np.ndarray[Any, np.dtype[np.int8]]:

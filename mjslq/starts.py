@@ -21,6 +21,7 @@ from mjslq.policy import Policy
 from mjslq.problem import Problem
 from mjslq.result import Result
 from mjslq.trajectory import Trajectory
+from mjslq.unknowns import Unknowns
 from mjslq.validation import Array, as_array, describe, instance, positive
 
 ROUNDS = 20
@@ -121,6 +122,8 @@ def read(problem: Problem, guess: Any, U0: ArrayLike | None, X0: ArrayLike | Non
     """
     if guess is not None and (U0 is not None or X0 is not None):
         raise ValueError("give either guess or U0 and X0, not both")
+    if problem.unknowns is not None:
+        return _with_values(problem, problem.unknowns, guess, U0, X0)
     if isinstance(guess, Result):
         multipliers = guess.multipliers
         start = read(problem, guess.policy if guess.gains is not None else guess.trajectory, None, None)
@@ -159,6 +162,17 @@ def read(problem: Problem, guess: Any, U0: ArrayLike | None, X0: ArrayLike | Non
     assert given is not None  # a problem fills in its own start when it is made
     start = _clipped(problem, problem.checked_controls(given), x0)
     return start if X0 is None else start._replace(X=_states(problem, X0))
+
+
+def _with_values(problem: Problem, unknowns: Unknowns, guess: Any, U0: ArrayLike | None, X0: ArrayLike | None) -> Start:
+    """A start for `Problem.lifted`: values of the unknowns from the guess, the rest on the system with these."""
+    values, system = unknowns.values_of(problem, guess), unknowns.system(problem.dynamics, problem.horizon)
+    fixed = problem.on(system.at(values))
+    object.__setattr__(fixed, "unknowns", None)
+    start = read(fixed, guess, U0, X0)
+    if start.X is not None:
+        raise ValueError("a problem with free time or parameters takes no state guess X0; give controls, U0")
+    return start._replace(U=unknowns.controls(start.U, values), x0=system.state(start.x0))
 
 
 def _clipped(problem: Problem, U: Array, x0: Array) -> Start:

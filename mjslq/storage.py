@@ -38,6 +38,7 @@ FORMAT = 2
 PLAIN = (
     "message", "cost", "iterations", "gradient_norm", "constraint_violation", "seconds", "compile_seconds", "problem",
     "method", "options", "parameters", "names", "error", "cost_terms",
+    "unknowns",
 )  # fmt: skip
 """Fields that JSON holds as they are."""
 NAMED = ("violations", "multipliers", "knots")
@@ -135,8 +136,9 @@ def _fields_of(header: dict[str, Any], arrays: dict[str, Array]) -> dict[str, An
         if slash and kind in named:
             named[kind][name] = array
     return dict(
-        **{name: header[name] for name in PLAIN if name not in ("names", "cost_terms")},
+        **{name: header[name] for name in PLAIN if name not in ("names", "cost_terms", "unknowns")},
         cost_terms=header.get("cost_terms", {}),
+        unknowns=header.get("unknowns", {}),
         **named,
         names={kind: tuple(entries) for kind, entries in header["names"].items()},
         status=Status(header["status"]),

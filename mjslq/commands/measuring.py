@@ -14,6 +14,7 @@ from mjslq.commands.common import Json, announce, is_task, refuse_unwritable
 
 if TYPE_CHECKING:
     from mjslq.dynamics.dynamics import Dynamics
+    from mjslq.problem import Problem
 
 
 def check(
@@ -154,11 +155,9 @@ def _dynamics_of(what: str) -> tuple[Dynamics, Any]:
     if is_task(what):
         from mjslq.tasks import load_task
 
-        problem = load_task(what).problem
-        return problem.dynamics, problem.x0
+        return _solved(load_task(what).problem)
     if what in problems.names():
-        problem = problems.get(what)
-        return problem.dynamics, problem.x0
+        return _solved(problems.get(what))
     if Path(what).suffix.lower() in (".xml", ".urdf", ".mjb") or os.sep in what:
         from mjslq.dynamics.mujoco import MujocoDynamics
 
@@ -170,12 +169,21 @@ def _dynamics_of(what: str) -> tuple[Dynamics, Any]:
     )
 
 
+def _solved(problem: Problem) -> tuple[Dynamics, Any]:
+    """The engine that methods work with, which has free time and parameters as states, and where it starts."""
+    return problem.lifted.dynamics, problem.lifted.x0
+
+
 def _random_motion(dynamics: Dynamics, x0: Any, steps: int, seed: int) -> Any:
     """A motion under small random controls; halved until it does not blow up."""
     import numpy as np
 
+    from mjslq.dynamics.augmented import Augmented
+
     U = np.random.default_rng(seed).normal(size=(steps, dynamics.nu))
     for _ in range(20):
+        if isinstance(dynamics, Augmented):
+            U[:, dynamics.inner.nu :] = dynamics.nominal
         trajectory = dynamics.rollout(x0, U)
         if not trajectory.diverged:
             return trajectory

@@ -35,6 +35,7 @@ from mjslq.dynamics.records import Linearization as Linearization
 from mjslq.dynamics.records import Output as Output
 from mjslq.dynamics.records import Sides as Sides
 from mjslq.dynamics.records import curvature_of, feedback_arguments, slices
+from mjslq.dynamics.variation import Variation
 from mjslq.lq.adjoint import closed_loop_adjoint
 from mjslq.manifold import StateSpace
 from mjslq.trajectory import Trajectory
@@ -79,6 +80,8 @@ class Dynamics(ABC):
     """How hard bodies touch; None where the engine knows no contacts."""
     foresight: float = 0.0
     """Distance from which on contacts act in derivatives alone; 0 for true derivatives. [m]"""
+    parameter_names: tuple[str, ...] = ()
+    """Numbers in the system that a problem may make unknown (`Problem.free_parameters`)."""
 
     def __getstate__(self) -> dict[str, Any]:
         """What pickle and deepcopy carry: all but locks and what is made when first asked for, memory and threads."""
@@ -162,6 +165,21 @@ class Dynamics(ABC):
     def foreseeing(self, foresight: float) -> Dynamics:
         """The same system with another `foresight`, for engines that have one."""
         raise ValueError(f"{type(self).__name__} has no contacts to foresee")
+
+    def variation(self, names: tuple[str, ...] = ()) -> Variation:
+        """A copy whose step length and parameters of these names can be set, for problems in which they are unknown.
+
+        Raises ValueError for engines without.
+        """
+        raise ValueError(f"{type(self).__name__} has steps of fixed length and no parameters that could be free")
+
+    def by_stretch(self, X: Array, U: Array, ends: Array) -> tuple[Array, Array] | None:
+        """Derivatives of steps and outputs by a factor on all step lengths, at one.
+
+        For steps from X (N + 1, nx) under U (N, nu) to `ends` (N, nx): shapes (N, ndx) and (N + 1, ny). None where
+        the engine has no way of its own; then differences are taken.
+        """
+        return None
 
     @abstractmethod
     def linearize(self, trajectory: Trajectory) -> Linearization:

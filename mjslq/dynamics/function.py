@@ -17,10 +17,10 @@ against real differences at every linearization (`mjslq.complex_step`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, Literal
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, Self
 
-import numba
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from numpy.typing import ArrayLike
@@ -29,21 +29,24 @@ from mjslq.dynamics import function_kernels as kernels
 from mjslq.dynamics.dynamics import Adjoint, Curvature, Dynamics, Feedback, Linearization, Sides
 from mjslq.dynamics.function_adjoint import adjoint_kernel, check_pullback
 from mjslq.dynamics.function_arguments import (
-    as_rows,
     checked_hessian,
     checked_jacobian,
     limits_of,
+    named_parameters,
     names_of,
     plain,
-    tried,
+    probe,
+    reading,
+    takes_time,
     with_all_arguments,
 )
 from mjslq.dynamics.function_derivatives import Derivatives
+from mjslq.dynamics.function_variation import FunctionVariation
 from mjslq.dynamics.records import curvature_of, feedback_arguments
 from mjslq.manifold import StateSpace
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, as_array, choose, count, function, numbers
+from mjslq.validation import Array, as_array, choose, count, function
 
 Integrator = Literal["map", "euler", "semi-implicit-euler", "rk4"]
 _INTEGRATORS = {
@@ -84,8 +87,10 @@ class FunctionDynamics(Dynamics):
     control_limits : tuple or array, optional
         (lower, upper), each a number or an array (nu,), or both as an array (nu, 2); -inf and inf where there is none.
         What an optimizer keeps to; f itself is called with whatever controls a rollout is given.
-    parameters : array
-        p, for compiled functions whose constants change between problems.
+    parameters : mapping or array
+        p, for constants that change between problems, which a compiled f need not be compiled again for, or that a
+        problem may make unknown (`Problem.free_parameters`): numbers by name, p an array of them in this order; or an
+        array, whose entries are called p[0], p[1], ...
     nv : int, optional
         Velocities among the states, the last ones, for "semi-implicit-euler"; nx // 2 unless given.
     state_names, control_names, output_names : sequence of str
@@ -112,7 +117,7 @@ class FunctionDynamics(Dynamics):
         pullback: Callable[..., Any] | None = None,
         outputs: Callable[..., Any] | None = None,
         control_limits: tuple[ArrayLike, ArrayLike] | ArrayLike | None = None,
-        parameters: ArrayLike = (),
+        parameters: Mapping[str, float] | ArrayLike = (),
         nv: int | None = None,
         state_names: Sequence[str] | None = None,
         control_names: Sequence[str] | None = None,
@@ -130,7 +135,7 @@ class FunctionDynamics(Dynamics):
         self.control_limits = limits_of(control_limits, self.nu)
         if not isinstance(self.dt, float):
             self._starts = np.cumsum(self.dt) - self.dt
-        self.parameters = np.array(as_array("parameters", parameters, ("size",)))
+        self.parameters, self.parameter_names = named_parameters(parameters)
         self._nv = self.nx // 2 if nv is None else count("nv", nv)
         self.nv = self._nv if 2 * self._nv == self.nx else 0
         if self._nv > self.nx:
@@ -144,11 +149,11 @@ class FunctionDynamics(Dynamics):
         self.compiled = isinstance(f, Dispatcher)
         self._f, self._given = with_all_arguments(f, self.compiled, size=self.nx), (f, outputs)
         self._scene = scene
-        self._probe()
+        probe(self._f, self.nx, self.nu, self.parameters)
         self._pullback = pullback
         if pullback is not None:
             check_pullback(pullback, self.compiled, self.nx, self.nu, self.parameters)
-        self._read, self._reads_compiled, self.ny = self._reading(outputs)
+        self._read, self._reads_compiled, self.ny = reading(outputs, self.nx, self.nu, self.parameters)
         by_differences, step = jacobian == "finite-difference", float(np.ravel(self.dt)[0])
         self._steps, self._readings = self._derivatives(by_differences, by_differences)
         if self._given_jacobian is None:
@@ -174,7 +179,7 @@ class FunctionDynamics(Dynamics):
         super().__setstate__({name: value for name, value in state.items() if name != "_by_differences"})
         f, outputs = self._given
         self._f = with_all_arguments(f, self.compiled, size=self.nx)
-        self._read, self._reads_compiled, self.ny = self._reading(outputs)
+        self._read, self._reads_compiled, self.ny = reading(outputs, self.nx, self.nu, self.parameters)
         self._steps, self._readings = self._derivatives(*by_differences)
 
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
@@ -239,6 +244,33 @@ class FunctionDynamics(Dynamics):
         X, U = trajectory.X, trajectory.U
         adjoint_kernel()(f, self._pullback, *rest, X, U, K, sides, costates, gradient, held)
         return Adjoint(costates, gradient, held)
+
+    def variation(self, names: tuple[str, ...] = ()) -> FunctionVariation:
+        """See `Dynamics.variation`."""
+        if self._given_jacobian is not None or self._given_hessian is not None:
+            raise ValueError("derivatives that are given are those of fixed steps and parameters; leave them out")
+        return FunctionVariation(self, names)
+
+    def by_stretch(self, X: Array, U: Array, ends: Array) -> tuple[Array, Array] | None:
+        """By complex steps; see `Dynamics.by_stretch`."""
+        (f, outputs), times = self._given, self._knots(U)[0]
+        S = self._steps.by_stretch(*self._time_grid(len(U)), X, U, takes_time(f))
+        clock = self.ny > 0 and takes_time(outputs)
+        G = self._readings.by_clock(times, X, self._knots(U)[1]) if clock else np.zeros((len(X), self.ny))
+        return None if S is None else (S, G)
+
+    def changed(self, dt: float | Array, parameters: Array, steps: Derivatives, readings: Derivatives) -> Self:
+        """The same system with other step lengths and parameters, and derivatives that know these."""
+        other = object.__new__(type(self))
+        vars(other).update(vars(self))  # the compiled functions, too, which copies make anew
+        other.dt, other.parameters, other._steps, other._readings = dt, parameters, steps, readings
+        if not isinstance(dt, float):
+            other._starts = np.cumsum(dt) - dt
+        return other
+
+    def copied_derivatives(self) -> tuple[Derivatives, Derivatives]:
+        """Derivatives of steps and of outputs, for `changed`."""
+        return copy.copy(self._steps), copy.copy(self._readings)
 
     def step_each(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
         """One step from each knot; see `Dynamics.step_each`."""
@@ -358,28 +390,3 @@ class FunctionDynamics(Dynamics):
         H, (times, held) = np.zeros((len(X), self.nx + self.nu, self.nx + self.nu)), self._knots(U)
         self._readings.hessians(times, np.ones(len(X)), X, held, np.ascontiguousarray(weights), H)
         return H
-
-    def _reading(self, outputs: Callable[..., Any] | None) -> tuple[Callable[..., Any], bool, int]:
-        """Outputs as a function of (x, u, t, p), whether it is compiled, and ny, by a call at the origin.
-
-        Compiled ones that return something other than an array or a number are called from Python.
-        """
-        if outputs is None:
-            return lambda x, u, t, p: np.zeros(0), False, 0
-        compiled = isinstance(outputs, Dispatcher)
-        read = with_all_arguments(outputs, compiled, "outputs")
-        value = tried("outputs", read, self.nx, self.nu, self.parameters)
-        y = np.atleast_1d(numbers("outputs", value))
-        if y.ndim != 1:
-            raise ValueError(f"outputs must return numbers in a row (ny,), got shape {y.shape}")
-        if compiled and isinstance(value, (float, np.floating)):
-            number = read
-            return numba.njit(lambda x, u, t, p: np.array([number(x, u, t, p)])), True, 1
-        compiled = compiled and isinstance(value, np.ndarray)
-        return read if compiled else as_rows("outputs", plain(read), y.size), compiled, y.size
-
-    def _probe(self) -> None:
-        """Call f once, so that a wrong shape is reported here and not from inside a rollout."""
-        value = numbers("f", tried("f", self._f, self.nx, self.nu, self.parameters))
-        if value.shape != (self.nx,):
-            raise ValueError(f"f must return shape ({self.nx},), got {value.shape}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numba
@@ -11,7 +11,7 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
-from mjslq.validation import Array, as_array, describe, frozen, function, gist
+from mjslq.validation import Array, as_array, describe, frozen, function, gist, numbers
 
 
 def plain(f: Callable[..., Any]) -> Callable[..., Any]:
@@ -93,6 +93,48 @@ def limits_of(given: Any, nu: int) -> Array:
             f"control_limits must have lower <= upper, but control {i} has {limits[i, 0]} and {limits[i, 1]}"
         )
     return limits
+
+
+def takes_time(f: Callable[..., Any] | None) -> bool:
+    """Whether a user's function takes t."""
+    return f is not None and _positional(plain(f)) > 2
+
+
+def named_parameters(given: Any) -> tuple[Array, tuple[str, ...]]:
+    """P as an array, and its names: those of a mapping, or p[0], p[1], ...  Raises ValueError."""
+    if isinstance(given, Mapping):
+        return np.array(as_array("parameters", list(given.values()), ("size",))), tuple(map(str, given))
+    array = np.array(as_array("parameters", given, ("size",)))
+    return array, tuple(f"p[{i}]" for i in range(array.size))
+
+
+def probe(f: Callable[..., Any], nx: int, nu: int, parameters: Array) -> None:
+    """Call f once, so that a wrong shape is reported here and not from inside a rollout. Raises ValueError."""
+    value = numbers("f", tried("f", f, nx, nu, parameters))
+    if value.shape != (nx,):
+        raise ValueError(f"f must return shape ({nx},), got {value.shape}")
+
+
+def reading(
+    outputs: Callable[..., Any] | None, nx: int, nu: int, parameters: Array
+) -> tuple[Callable[..., Any], bool, int]:
+    """Outputs as a function of (x, u, t, p), whether it is compiled, and ny, by a call at the origin.
+
+    Compiled ones that return something other than an array or a number are called from Python.
+    """
+    if outputs is None:
+        return lambda x, u, t, p: np.zeros(0), False, 0
+    compiled = isinstance(outputs, Dispatcher)
+    read = with_all_arguments(outputs, compiled, "outputs")
+    value = tried("outputs", read, nx, nu, parameters)
+    y = np.atleast_1d(numbers("outputs", value))
+    if y.ndim != 1:
+        raise ValueError(f"outputs must return numbers in a row (ny,), got shape {y.shape}")
+    if compiled and isinstance(value, (float, np.floating)):
+        number = read
+        return numba.njit(lambda x, u, t, p: np.array([number(x, u, t, p)])), True, 1
+    compiled = compiled and isinstance(value, np.ndarray)
+    return read if compiled else as_rows("outputs", plain(read), y.size), compiled, y.size
 
 
 def _positional(f: Callable[..., Any]) -> int:

@@ -65,6 +65,37 @@ class Derivatives:
         with np.errstate(all="ignore"), refused_complex(self._name, _REMEDY):
             kernel(self._f, self._code, self._nv, times, steps, self._parameters, X, U, weights, H)
 
+    def under(self, parameters: Array) -> None:
+        """Take other parameters p from now on."""
+        self._parameters = parameters
+
+    def by_stretch(self, times: Array, steps: Array, X: Array, U: Array, timed: bool) -> Array | None:
+        """Derivatives of the steps by a factor on their lengths, at one; `timed` says whether the function takes t.
+
+        None where complex steps do not serve. The part of the clock is a difference. Shape (k, m).
+        """
+        if self.by_differences:
+            return None
+        S, clock = np.empty((len(U), X.shape[1])), np.empty((len(U), X.shape[1]))
+        arguments = (self._code, self._nv, times, steps, self._parameters, X, U)
+        with np.errstate(all="ignore"), refused_complex(self._name, _REMEDY):
+            self._kernel(kernels.stretch_complex)(self._f, *arguments, S)
+            if timed:
+                self._kernel(kernels.clock_differences)(self._f, *arguments, clock)
+                S += clock
+        return S
+
+    def by_clock(self, times: Array, X: Array, U: Array) -> Array:
+        """Derivatives of the values of a map by a factor on the clock, by differences. Shape (k, m)."""
+        found, e = [], 6e-6
+        for factor in (1.0 + e, 1.0 - e):
+            Y = np.empty((len(X), np.size(self._f(X[0], U[0], times[0], self._parameters))))
+            with np.errstate(all="ignore"):
+                self._kernel(kernels.read_all)(self._f, factor * times, self._parameters, X, U, Y)
+            found.append(Y)
+        slope: Array = (found[0] - found[1]) / (2.0 * e)
+        return slope
+
     def try_out(self, nx: int, nu: int, m: int, step: float) -> None:
         """Judge complex steps of a plain function at generic points near the origin, where it is defined there."""
         if self._compiled or self.by_differences or not m:

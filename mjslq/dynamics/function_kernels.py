@@ -34,6 +34,12 @@ SECOND_STEP = 6e-6
 @register_jitable
 def next_state(f, integrator, nv, x, u, t, h, p):
     """Next state."""
+    return timed_state(f, integrator, nv, x, u, t, h, h, p)
+
+
+@register_jitable
+def timed_state(f, integrator, nv, x, u, t, d, h, p):
+    """Next state, a step of length h that stands for d on the clock: the two differ for derivatives by h alone."""
     if integrator == MAP:
         return f(x, u, t, p)
     if integrator == EULER:
@@ -45,9 +51,9 @@ def next_state(f, integrator, nv, x, u, t, h, p):
         forward[:nq] = x[:nq] + h * f(forward, u, t, p)[:nq]
         return forward
     k1 = f(x, u, t, p)
-    k2 = f(x + 0.5 * h * k1, u, t + 0.5 * h, p)
-    k3 = f(x + 0.5 * h * k2, u, t + 0.5 * h, p)
-    k4 = f(x + h * k3, u, t + h, p)
+    k2 = f(x + 0.5 * h * k1, u, t + 0.5 * d, p)
+    k3 = f(x + 0.5 * h * k2, u, t + 0.5 * d, p)
+    k4 = f(x + h * k3, u, t + d, p)
     return x + (h / 6.0) * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
 
 
@@ -134,6 +140,26 @@ def linearize_differences(f, integrator, nv, times, steps, p, X, U, A, B):
 
 
 @register_jitable
+def stretch_complex(f, integrator, nv, times, steps, p, X, U, S):
+    """Fill S (N, nx) with derivatives of steps by a factor on their lengths, the clock standing: complex steps."""
+    for n in range(U.shape[0]):
+        x, u = X[n].astype(np.complex128), U[n].astype(np.complex128)
+        h = steps[n] * complex(1.0, COMPLEX_STEP)
+        S[n] = timed_state(f, integrator, nv, x, u, times[n], steps[n], h, p).imag / COMPLEX_STEP
+
+
+@register_jitable
+def clock_differences(f, integrator, nv, times, steps, p, X, U, S):
+    """Fill S (N, nx) with derivatives of steps by a factor on the clock, their lengths standing: differences."""
+    e = 6e-6
+    for n in range(U.shape[0]):
+        x, u, t, d, h = X[n].copy(), U[n].copy(), times[n], steps[n], steps[n]
+        beyond = timed_state(f, integrator, nv, x, u, t * (1.0 + e), d * (1.0 + e), h, p)
+        before = timed_state(f, integrator, nv, x, u, t * (1.0 - e), d * (1.0 - e), h, p)
+        S[n] = (beyond - before) / (2.0 * e)
+
+
+@register_jitable
 def hessian_complex(f, integrator, nv, times, steps, p, X, U, costates, H):
     """Second derivatives of costate'step: centred differences of complex steps; relative error about 1e-10."""
     nx, size = X.shape[1], X.shape[1] + U.shape[1]
@@ -204,6 +230,8 @@ _SIGNATURES = {
     read_all: types.void(REAL, _vector, _vector, _given, _given, _matrix),
     linearize_complex: types.void(COMPLEX, *_common, _given, _given, _cube, _cube),
     linearize_differences: types.void(REAL, *_common, _given, _given, _cube, _cube),
+    stretch_complex: types.void(COMPLEX, *_common, _given, _given, _matrix),
+    clock_differences: types.void(REAL, *_common, _given, _given, _matrix),
     hessian_complex: types.void(COMPLEX, *_common, _given, _given, _given, _cube),
     hessian_differences: types.void(REAL, *_common, _given, _given, _given, _cube),
     step_each: types.void(REAL, *_common, _given, _given, _matrix),

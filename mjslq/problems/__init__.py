@@ -38,6 +38,8 @@ _CATALOGUE = {
     "quadrotor_obstacles": "a planar quadrotor flies past two discs",
     "car_obstacles": "a car parks past three discs",
     "arm_obstacle": "an arm of three links swings its hand round a disc",
+    "double_integrator_time": "a mass on a line goes from rest to rest in the least time",
+    "cart_pole_time": "a pole on a cart swings up in the least time, the force limited",
     "cart_train": "carts with pendulums, coupled by springs, that swing between two angles (Sforni et al., GoPRONTO)",
     "box_push": "a finger pushes a box over a floor to a place, and turns it",
     "quadrotor": "a quadrotor flies to a waypoint, its thrusts limited",

@@ -105,7 +105,12 @@ def _checked(result: Result, problem: Problem) -> DerivativeCheck | None:
             f"the problem has {problem.horizon} steps, {problem.dynamics.nx} states and {problem.dynamics.nu} "
             f"controls, but the result {N}, {result.trajectory.X.shape[1]} and {nu}"
         )
-    return None if result.trajectory.diverged else problem.dynamics.check_derivatives(result.trajectory)
+    if result.trajectory.diverged:
+        return None
+    if problem.unknowns is None:
+        return problem.dynamics.check_derivatives(result.trajectory)
+    lifted = problem.lifted.dynamics
+    return lifted.check_derivatives(problem.unknowns.extended(problem, result.trajectory, result.unknowns))
 
 
 def _ending(result: Result) -> tuple[str, ...]:

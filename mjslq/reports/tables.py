@@ -14,6 +14,7 @@ from mjslq.problem import Problem
 from mjslq.reports import errors, in_force
 from mjslq.reports.limits import at_limits, describe
 from mjslq.result import Result
+from mjslq.unknowns import TIME
 
 if TYPE_CHECKING:
     from mjslq.reports.bench import Row
@@ -66,6 +67,8 @@ def print_summary(result: Result, problem: Problem) -> None:
     if not result.success:
         lines.add_row("", result.message)
     lines.add_row("cost", f"{result.cost:.10g}")
+    for name, value in result.unknowns.items():
+        lines.add_row(name, f"{value:.8g}" + (" s" if name == TIME else ""))
     lines.add_row("iterations", f"{result.iterations} in {result.seconds:.2f} s")
     if result.compile_seconds > 0.0:
         lines.add_row("compiling", f"{result.compile_seconds:.1f} s, the first time only")
@@ -95,7 +98,7 @@ def as_dict(result: Result) -> dict[str, Any]:
     """The numbers of a result in JSON's types, None for what is not finite; arrays belong into the saved file."""
     names = (
         "problem", "method", "success", "message", "cost", "iterations", "gradient_norm", "constraint_violation",
-        "seconds", "compile_seconds", "options", "parameters",
+        "seconds", "compile_seconds", "options", "parameters", "unknowns",
     )  # fmt: skip
     found = {"status": result.status.value} | {name: getattr(result, name) for name in names}
     if contacts(result):

@@ -103,7 +103,7 @@ def _mujoco(
     from mjslq.dynamics.mujoco.frames import add_frame_sensor
 
     engine = task.engine
-    names = ("timestep", "substeps", "integrator", "jacobian", "threads", "contact", "foresight")
+    names = ("timestep", "substeps", "integrator", "jacobian", "threads", "parameters", "contact", "foresight")
     options = {name: value for name in names if (value := getattr(engine, name)) is not None}
     options["name"] = file.stem
     with source.at("model"):
@@ -157,6 +157,8 @@ def _pinocchio(task: TaskFile, file: Path, clips: Clips, source: Source) -> Mujo
     for i, constraint in enumerate(task.constraints):
         if isinstance(constraint, DistanceConstraint):
             raise TaskError(source.sentence(("constraints", i), "distances need kind = 'mujoco' in [engine]"))
+    if engine.parameters is not None:
+        raise TaskError(source.sentence(("engine", "parameters"), "needs kind = 'mujoco' in [engine]"))
     if engine.timestep is None:
         raise TaskError(source.sentence(("engine", "timestep"), "is missing; a URDF has no timestep of its own"))
     options: dict[str, Any] = {"floating_base": bool(engine.floating), "packages": engine.packages}

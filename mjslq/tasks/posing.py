@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 _LIST = re.compile(r"^(costs|constraints)\[(\d+)\] \([^)]*\): (.*)$", re.DOTALL)
 """How `Problem` names the term that does not fit."""
+_FREE = re.compile(r"^(free_time|free_parameters)(?:: | )(.*)$", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Poser:
 
     def problem(self) -> Problem:
         """The problem. Raises `TaskError`."""
-        x0 = self._x0()
+        x0, task = self._x0(), self.task
         N = self.horizon
         by_table = [self._at(("costs", i), self._costs, cost, x0) for i, cost in enumerate(self.task.costs)]
         terms = [term for found in by_table for term in found]
@@ -53,6 +54,8 @@ class Poser:
         try:
             problem = Problem(
                 self.dynamics, N, x0, terms, constraints=held, bounds=bounds, U0=self._controls(),
+                free_time=None if task.free_time is None else (task.free_time[0], task.free_time[1]),
+                free_parameters={name: (low, high) for name, (low, high) in (task.free_parameters or {}).items()},
                 name=self.task.name or self.source.name.rsplit(".", 1)[0],
             )  # fmt: skip
         except TaskError:
@@ -75,7 +78,9 @@ class Poser:
 
     def _placed(self, sentence: str, tables: Sequence[int]) -> str:
         """A complaint of `Problem`'s, with the line of the table that it is about, for the table of each cost term."""
-        match = _LIST.match(sentence)
+        match, free = _LIST.match(sentence), _FREE.match(sentence)
+        if free is not None:
+            return self.source.sentence((free[1],), free[2])
         if match is None:
             return f"{self.source.name}: {sentence}"
         i = int(match[2])
@@ -181,6 +186,8 @@ class Poser:
         ))  # fmt: skip
 
     def _cost(self, cost: schema.OneCost, x0: Array) -> CostTerm:
+        if isinstance(cost, schema.TimeCost):
+            return costs.Time(cost.weight)
         loss: dict[str, Any] = {"loss": cost.loss, "width": cost.width}
         when = self._when(cost.when)
         if isinstance(cost, schema.ControlCost):

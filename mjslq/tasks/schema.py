@@ -2,6 +2,7 @@
 
     model = "arm.xml"        a file, a robot's name, or "menagerie:NAME"
     horizon = 100            steps; or duration = 2.0, in seconds
+    free_time = [1.0, 4.0]   limits of the final time, if it is unknown [s]
     [engine]                 which engine, and its options
     [start]                  where the motion begins, and the first controls
     [[costs]]                one table a term; `kind` says which
@@ -41,6 +42,9 @@ Weight = Annotated[
 ]
 ByJoint = Annotated[float | dict[str, float], Says("a number or a table of numbers by joint")]
 Limits = Annotated[list[float], Field(min_length=2, max_length=2), Says("a pair [lower, upper]")]
+Quantities = Annotated[
+    dict[str, str], Says('a table of quantities of the model by name, such as { mass = "body/pole/mass" }')
+]
 Text = Annotated[str, Field(min_length=1)]
 Positive = Annotated[float, Field(gt=0.0), Says("a number above 0")]
 Count = Annotated[int, Field(ge=1), Says("a whole number of at least 1")]
@@ -75,6 +79,9 @@ class Engine(Table):
     integrator: Text | None = Field(default=None, description="In place of the model's own.")
     jacobian: Literal["auto", "inverse", "transition"] | None = Field(default=None, description="mujoco")
     threads: Count | None = Field(default=None, description="Threads for Jacobians. mujoco")
+    parameters: Quantities | None = Field(
+        default=None, description="Numbers of the model for free_parameters, by name. mujoco"
+    )
     floating: bool | None = Field(default=None, description="Free the base of a URDF.")
     floor: bool | None = Field(default=None, description="Add a ground plane to a URDF. mujoco")
     self_contacts: bool | None = Field(
@@ -207,6 +214,13 @@ class ClipCost(Table):
     beyond: Annotated[Literal["hold", "refuse"], Says('"hold" or "refuse"')] = "hold"
 
 
+class TimeCost(Table):
+    """The final time, times a weight."""
+
+    kind: Literal["time"]
+    weight: float = 1.0
+
+
 class ControlConstraint(Table):
     """Limits of the controls beside those of the model."""
 
@@ -262,7 +276,7 @@ class DistanceConstraint(Table):
     name: Text | None = None
 
 
-OneCost = ControlCost | StateCost | JointsCost | VelocitiesCost | SensorCost | FrameCost
+OneCost = ControlCost | StateCost | JointsCost | VelocitiesCost | SensorCost | FrameCost | TimeCost
 """Tables that are a term of the cost each."""
 Cost = Annotated[OneCost | ClipCost, Field(discriminator="kind")]
 Constraint = Annotated[
@@ -299,6 +313,12 @@ class TaskFile(Table):
     name: Text | None = Field(default=None, description="What the problem is called; the file's name unless given.")
     horizon: Count | None = Field(default=None, description="Number of steps N.")
     duration: Positive | None = Field(default=None, description="In place of the horizon. [s]")
+    free_time: Limits | None = Field(
+        default=None, description="[shortest, longest]: the final time is unknown, and starts from the duration. [s]"
+    )
+    free_parameters: Annotated[dict[str, Limits], Says("a table of pairs [lower, upper] by parameter")] | None = Field(
+        default=None, description="Parameters of the engine that are unknown, with their limits."
+    )
     engine: Engine = Engine()
     start: Start = Start()
     costs: Annotated[list[Cost], Field(min_length=1), Says("a list of tables, written [[costs]]")]

@@ -16,6 +16,7 @@ import numpy as np
 from mjslq.reports import in_force, limits
 from mjslq.result import Result
 from mjslq.trajectory import Trajectory
+from mjslq.unknowns import TIME
 from mjslq.validation import Array
 from mjslq.viewer import series
 
@@ -60,6 +61,7 @@ def facts(result: Result) -> list[tuple[str, str]]:
         ("horizon", f"{result.trajectory.horizon} steps, {short(float(result.trajectory.times[-1]))} s"),
         ("size", f"{_counted(result.trajectory.X, 'state')}, {_counted(result.trajectory.U, 'control')}"),
     ]
+    told[2:2] = [(name, short(value) + (" s" if name == TIME else "")) for name, value in result.unknowns.items()]
     if result.constraint_violation > 0.0:
         told.insert(4, ("violation", short(result.constraint_violation)))
     if at := limits.describe(result, brief=True):

@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import copy
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from mjslq.dynamics.mujoco.inverse.jacobians import InverseJacobians
     from mjslq.dynamics.mujoco.inverse.runge_kutta import RungeKuttaJacobians
     from mjslq.dynamics.mujoco.simulator import Simulator
+    from mjslq.dynamics.mujoco.variation import MujocoVariation, Parameter
 
 
 SMOOTH_PRICE, CONSTRAINED_PRICE = 2.0, 10.0
@@ -79,6 +80,12 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
     foresight
         Distance from which on bodies feel each other in derivatives, and in these alone; see `contacts`. [m]
 
+    Parameters
+    ----------
+        Numbers of the model that a problem may make unknown (`Problem.free_parameters`), by names of your own:
+        quantities such as "body/pole/mass" or "geom/foot/friction/0", or pairs (set, value) of a function
+        set(model, value) and the value now; see `variation`.
+
     All but `from_model` also take
 
     frames
@@ -102,6 +109,7 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
         centered: bool = True,
         contact: str | Contact = "model",
         foresight: float = 0.0,
+        parameters: Mapping[str, Any] | None = None,
         name: str | None = None,
     ):
         from mjslq.dynamics.mujoco import names
@@ -120,6 +128,13 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
         """How hard bodies touch."""
         self._given, self.model = self.model, contacts.with_contact(self.model, self.contact)
         self.foresight = nonnegative("foresight", foresight)
+        self.parameters: dict[str, Parameter] = {}
+        """What a problem may make unknown."""
+        if parameters is not None:
+            from mjslq.dynamics.mujoco.variation import parameters_of
+
+            self.parameters = parameters_of(parameters, self.model)
+        self.parameter_names = tuple(self.parameters)
         self.nx, self.ndx, self.nv = model.nq + model.nv + model.na, 2 * model.nv + model.na, model.nv
         self.nu, self.ny = model.nu, model.nsensordata
         self.substeps = count("substeps", substeps)
@@ -202,6 +217,38 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
         with self._lock:
             F, _, Y = self.simulator.step_each(states, controls)
         return F, Y
+
+    def variation(self, names: tuple[str, ...] = ()) -> MujocoVariation:
+        """See `Dynamics.variation`."""
+        from mjslq.dynamics.mujoco.variation import MujocoVariation
+
+        return MujocoVariation(self, names)
+
+    def with_model(self, change: Callable[[mujoco.MjModel], None]) -> MujocoDynamics:
+        """The same system on a copy of the model in which something is changed, with memory of its own."""
+        from mjslq.dynamics.mujoco.inverse.cover import choose_jacobian
+
+        other = copy.copy(self)
+        other._given = copy.copy(self._given)
+        change(other._given)
+        other.model = contacts.with_contact(other._given, self.contact)
+        if self.jacobian == "inverse":
+            other.jacobian = choose_jacobian(other.model, "auto")
+        return other
+
+    def retime(self, timestep: float) -> None:
+        """Take another simulator step [s], for engines whose model nobody else has."""
+        if timestep == self.model.opt.timestep:
+            return
+        self.model.opt.timestep = self._given.opt.timestep = timestep
+        self.dt = self.substeps * timestep
+        made = vars(self)
+        if "simulator" in made:
+            self.simulator.dt = self.dt
+        if "_inverse" in made:
+            self._inverse.retime(timestep)
+        for name in ("_runge_kutta", "_inverse_hessians", "_foreseeing", "_scene"):
+            made.pop(name, None)
 
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step of `trajectory`, and of the outputs at every knot."""

@@ -35,6 +35,7 @@ from mjslq.dynamics.pinocchio.algorithms import Ties
 from mjslq.dynamics.pinocchio.mimic import Follower, lock_followers, tie
 from mjslq.dynamics.pinocchio.outputs import ORIENTATION, Readings
 from mjslq.dynamics.pinocchio.states import state_space
+from mjslq.dynamics.variation import Variation
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, as_array, choose, positive
@@ -252,6 +253,21 @@ class PinocchioDynamics(Dynamics):
         states, controls = (np.array(array, dtype=np.float64, order="C") for array in (X, U))
         with self._lock:
             return self.simulator.step_each(states, controls)
+
+    def variation(self, names: tuple[str, ...] = ()) -> Variation:
+        """See `Dynamics.variation`: steps of any length; it has no parameters."""
+        from mjslq.dynamics.pinocchio.variation import PinocchioVariation
+
+        return PinocchioVariation(self)
+
+    def by_stretch(self, X: Array, U: Array, ends: Array) -> tuple[Array, Array] | None:
+        """Exact for semi-implicit Euler; see `Dynamics.by_stretch`."""
+        from mjslq.dynamics.pinocchio.variation import euler_by_stretch
+
+        if self.integrator != "semi-implicit-euler":
+            return None
+        with self._lock:
+            return euler_by_stretch(self.simulator, X, U), np.zeros((len(X), self.ny))
 
     def linearize(self, trajectory: Trajectory) -> Linearization:
         """Jacobians of every step of `trajectory`, and of the outputs at every knot."""

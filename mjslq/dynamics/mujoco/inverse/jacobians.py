@@ -55,6 +55,14 @@ class InverseJacobians:
         self.blank = self._blank_jobs()
         """A job for each worker, with all that is the same at every call."""
 
+    def retime(self, h: float) -> None:
+        """Take a changed step length of the simulator's model."""
+        self.table["h"][...] = h
+        self.blank["h"] = h
+        for model in (self._row_model, self._rest):
+            if model is not None:
+                model.opt.timestep = h
+
     def linearize(self, X: Array, U: Array, substates: Array, ends: Array) -> Linearization:
         """Jacobians of every step and of the outputs, the knots shared out among the workers.
 

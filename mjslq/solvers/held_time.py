@@ -1,0 +1,109 @@
+"""Descents with free final time and constraints: first with the time held, then free.
+
+A shorter motion that misses its goal by more is often the nearest way down, and ends where it can no longer be told
+that there is a goal at all: at a stationary point of the violation. So the first descent is one of a fixed time, the
+start's, or, where the constraints cannot be met in that, `STRETCH` times as long, `TRIES` times at most. It is a start
+and no more: it ends loosely, and where the cost leaves controls free it has their effort in its cost besides,
+
+    1/2 sum_n h_n |u_n / limit|^2.
+
+From where it ends, and with its multipliers, the descent with free time begins, which has the cost as it was stated,
+what is left of the iterations and of the time, and alone may say that it has converged.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from mjslq.bound_costs import ResidualCost
+from mjslq.knots import knots_of
+from mjslq.losses import bind_loss
+from mjslq.options import Stopping
+from mjslq.problem import Problem
+from mjslq.residuals import bind_control
+from mjslq.solvers.foresight import ENDED, descend_with_foresight
+from mjslq.solvers.interrupts import Interrupts
+from mjslq.solvers.iterate import Iterate
+from mjslq.solvers.loop import Outcome, descend
+from mjslq.solvers.method import Method
+from mjslq.solvers.monitor import Monitor
+from mjslq.status import Status
+from mjslq.unknowns import Unknowns
+from mjslq.validation import Array
+
+STRETCH, TRIES = 1.5, 4
+"""Factor from one held time to the next, and how many there are."""
+LOOSE, MOST = 1e-3, 150
+"""Tolerance of the direction and iterations of a descent with held time."""
+FREE = 1e-9
+"""Curvature of the cost by a control below which it is left free, relative to the largest, or to 1."""
+
+Make = Callable[[Mapping[str, Array]], Method]
+
+
+def descend_with_time_held_first(
+    start: Iterate,
+    unknowns: Unknowns,
+    make: Make,
+    given: Mapping[str, Array],
+    stopping: Stopping,
+    monitor: Monitor,
+    interrupts: Interrupts,
+) -> Outcome:
+    """Descend from `start` in two parts; see the head of this file."""
+    size, multipliers, remark = len(unknowns.names), given, ""
+    time, here = float(start.trajectory.U[0, -size]), start
+    for _ in range(TRIES):
+        problem = _with_effort(unknowns.held(start.problem, time), start, size)
+        loose = dataclasses.replace(
+            stopping, tol_direction=max(LOOSE, stopping.tol_direction), max_iterations=_left(stopping, monitor, MOST)
+        )
+        first = descend(_at(problem, start, size, time), make(given), loose, monitor, interrupts)
+        if first.status not in (*ENDED, Status.MAX_ITERATIONS) or not _left(stopping, monitor, 1):
+            first.iterate = Iterate(start.problem, first.iterate.trajectory)
+            first.remark = f"The final time was still held, at {time:.6g} s. {first.remark}"
+            return first
+        if first.status is Status.CONVERGED:
+            here = Iterate(start.problem, first.iterate.trajectory)
+            multipliers, remark = first.duals.multipliers, f"The final time was held for {monitor.steps} iterations."
+            break
+        longer = min(STRETCH * time, float(unknowns.upper[0]))
+        if longer == time:
+            break
+        time = longer
+    left = dataclasses.replace(stopping, max_iterations=_left(stopping, monitor, stopping.max_iterations))
+    second = descend_with_foresight(here, lambda: make(multipliers), left, monitor, interrupts)
+    second.remark = " ".join(part for part in (remark, second.remark) if part)
+    return second
+
+
+def _left(stopping: Stopping, monitor: Monitor, most: int) -> int:
+    return min(max(stopping.max_iterations - monitor.steps, 0), most)
+
+
+def _at(problem: Problem, start: Iterate, size: int, time: float) -> Iterate:
+    """The start with another final time."""
+    U = start.trajectory.U.copy()
+    U[0, -size] = time
+    return Iterate(problem, problem.dynamics.rollouts(start.trajectory.X[:1], U[None])[0])
+
+
+def _with_effort(problem: Problem, start: Iterate, size: int) -> Problem:
+    """The problem with the effort of controls in its cost that the cost leaves free."""
+    dynamics = problem.dynamics
+    curvature = np.abs(np.einsum("nii->ni", start.expansion.R)).max(axis=0)[:-size]
+    free = curvature <= FREE * max(1.0, float(curvature.max(initial=0.0)))
+    if not free.any():
+        return problem
+    limits = np.minimum(*np.abs(problem.box)[:, :, :-size]).min(axis=0)
+    limits = np.where(np.isfinite(limits) & (limits > 0.0), limits, 1.0)
+    W = np.zeros((1, dynamics.nu, dynamics.nu))
+    at = np.flatnonzero(free)
+    W[0, at, at] = 1.0 / limits[at] ** 2
+    steps = np.asarray(start.trajectory.dt)
+    knots = knots_of("running", steps)
+    effort = ResidualCost(bind_control(dynamics, 0.0, knots), bind_loss("quadratic", None, W, steps), "effort")
+    return problem.with_terms([effort])
