@@ -47,7 +47,7 @@ def checked(result: Result) -> Result:
         name: as_array(f"violations of {name!r}", given, (N + 1,), finite=False)
         for name, given in result.violations.items()
     }
-    multipliers = {name: _multipliers(name, given, limits, knots) for name, given in result.multipliers.items()}
+    multipliers = {name: _multipliers(name, given, result, knots) for name, given in result.multipliers.items()}
     return replace(result, **arrays, knots=knots, violations=violations, multipliers=multipliers)
 
 
@@ -103,7 +103,11 @@ def _indices(name: str, given: NDArray[Any], size: int) -> NDArray[np.int64]:
     return given.astype(np.int64)
 
 
-def _multipliers(name: str, given: Any, limits: tuple[int, int], knots: Mapping[str, NDArray[np.int64]]) -> Array:
-    """Multipliers of the limits of the controls (N, nu), or of a constraint at its knots (k, m)."""
-    shape: tuple[int | str, ...] = limits if name == "controls" else (len(knots[name]) if name in knots else "k", "m")
+def _multipliers(name: str, given: Any, result: Result, knots: Mapping[str, NDArray[np.int64]]) -> Array:
+    """Multipliers of the limits of the controls (N, nu), of an unknown (1,), or of a constraint at its knots (k, m)."""
+    shape: tuple[int | str, ...] = (len(knots[name]) if name in knots else "k", "m")
+    if name == "controls":
+        shape = result.trajectory.U.shape
+    elif name in result.unknowns:
+        shape = (1,)
     return as_array(f"multipliers of {name!r}", given, shape, finite=False)
