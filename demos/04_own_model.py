@@ -39,11 +39,11 @@ def main() -> None:
     result = mjslq.solve(problem, verbose=1)
 
     # The policy in a plain MuJoCo loop, with a gust after one second.
-    model, data = mujoco.MjModel.from_xml_string(CRANE), None
+    model = mujoco.MjModel.from_xml_string(CRANE)
     data = mujoco.MjData(model)
     for n in range(problem.horizon):
         data.ctrl = result.policy(np.concatenate([data.qpos, data.qvel]), t=0.02 * n)
-        data.xfrc_applied[2, 0] = 10.0 if 50 <= n < 55 else 0.0
+        data.xfrc_applied[model.body("rope").id, 0] = 10.0 if 50 <= n < 55 else 0.0
         mujoco.mj_step(model, data)
     print(f"after a gust the trolley stands at {data.qpos[0]:.3f} of 3 m, the rope hangs at {data.qpos[1]:+.3f} rad")
     mjslq.view(result)

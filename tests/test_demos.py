@@ -34,6 +34,33 @@ def test_readme_example_swings_the_pendulum_up(seen, tmp_path, capsys):
     assert abs(result.trajectory.X[-1, 0] - names["upright"][0]) < 0.01
     assert mjslq.load(tmp_path / "swing-up.npz").cost == result.cost
     assert "converged" in capsys.readouterr().out
+    assert {file.name for file in tmp_path.iterdir()} >= {"swing-up.html", "swing-up.csv", "policy.npz"}
+
+
+def test_readme_shows_pictures_and_paths_that_are_there():
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) < 300
+    named = re.findall(r'(?:src|srcset)="([^"]+)"', text) + re.findall(r"`((?:demos|assets|tests)/[^` ]+)`", text)
+    assert len(named) >= 6
+    for name in named:
+        assert (ROOT / name).exists(), name
+    for picture in (ROOT / "demos" / "pictures").iterdir():
+        assert picture.stat().st_size < 250_000, picture
+
+
+def test_tasks_of_the_readme_are_tasks(tmp_path, seen):
+    """The one that is shown, with an arm that has what it names."""
+    (shown,) = re.findall(r"```toml\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    arm = (ROOT / "assets" / "double_pendulum.xml").read_text()
+    site = '<site name="hand" pos="0 0 0.1"/>'
+    body = re.search(r"<body[^>]*>", arm)[0]
+    (tmp_path / "robot.xml").write_text(
+        arm.replace(body, body + site)
+        .replace('<key name="hanging"', '<key name="home"')
+        .replace("<joint name", '<joint range="-4 4" limited="true" name')
+    )
+    (tmp_path / "robot.toml").write_text(shown)
+    assert mjslq.load_task(tmp_path / "robot.toml").problem.horizon > 10
 
 
 def test_readme_names_every_method_and_command():

@@ -1,0 +1,95 @@
+"""Take the README's pictures: the viewer in headless Chromium, light and dark.
+
+Run with    python demos/pictures.py [folder] [name ...]     (needs Chromium, and Playwright from the "test" extra)
+"""
+
+import inspect
+import io
+import shutil
+import sys
+from pathlib import Path
+
+from PIL import Image
+from playwright.sync_api import sync_playwright
+
+import mjslq
+from mjslq.viewer import Player
+
+FLAGS = "--no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking --disable-sync"
+WINDOW, WIDTH = {"width": 1440, "height": 900}, 1200
+"""Of the browser, and of what is kept of it. [px]"""
+DRAWN = 7000  # software rendering draws a few frames a second [ms]
+
+
+CLOSE = "document.querySelectorAll('.mantine-Notification-closeButton').forEach((button) => button.click())"
+"""Viser's notice that there is no graphics card."""
+
+
+def hopper(player):
+    player.set_ghosts("along", 6)
+    player.seek(0.9)
+
+
+def arm(player):
+    player.set_ghosts("along", 5)
+    player.seek(2.0)
+
+
+def quadruped(player):
+    player.set_ghosts("along", 4)
+    player.seek(0.55)
+
+
+def comparison(player):
+    player.seek(1.6)
+
+
+def problems():
+    """The results of each picture, the one shown first."""
+    yield hopper, [mjslq.solve(mjslq.problems.get("hopper", height=30.0))]
+    yield arm, [mjslq.solve(mjslq.problems.get("panda_obstacle"))]
+    yield quadruped, [mjslq.solve(mjslq.problems.get("solo12_jump"))]
+    problem = mjslq.problems.get("double_pendulum")
+    found = [mjslq.solve(problem, method) for method in ("auto", "slq", "newton", "pronto")]
+    yield comparison, sorted(found, key=lambda result: result.cost)
+
+
+def take(browser, prepare, results, dark):
+    """A screenshot of the viewer, as PNG bytes."""
+    best, *others = results
+    options = {"dark": dark} if "dark" in inspect.signature(Player.__init__).parameters else {}
+    with Player(best, autoplay=False, beside=others, **options) as player:
+        page = browser.new_page(viewport=WINDOW, color_scheme="dark" if dark else "light")
+        page.set_default_timeout(180_000)
+        page.goto(player.url)
+        page.wait_for_selector("canvas")
+        prepare(player)
+        page.wait_for_timeout(DRAWN)
+        page.evaluate(CLOSE)
+        page.wait_for_timeout(1000)
+        picture = page.screenshot()
+        page.close()
+    return picture
+
+
+def main() -> None:
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "pictures"
+    wanted = sys.argv[2:]
+    folder.mkdir(exist_ok=True)
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS.split())
+        for prepare, results in problems():
+            if wanted and prepare.__name__ not in wanted:
+                continue
+            for dark in (False, True):
+                file = folder / f"{prepare.__name__}-{'dark' if dark else 'light'}.png"
+                picture = Image.open(io.BytesIO(take(browser, prepare, results, dark))).convert("RGB")
+                picture = picture.resize((WIDTH, WIDTH * picture.height // picture.width), Image.Resampling.LANCZOS)
+                picture.quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(file, optimize=True)
+                print(f"{file}: {file.stat().st_size // 1000} kB")
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()
