@@ -12,9 +12,7 @@ from __future__ import annotations
 
 import json
 import os
-import struct
 import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
@@ -31,7 +29,7 @@ from mjslq.scene import Scene
 from mjslq.status import Status
 from mjslq.stored import checked
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, describe, gist, path_of
+from mjslq.validation import Array, as_array, describe, gist, path_of
 
 FORMAT = 2
 """Version of the file format; files of another version are refused."""
@@ -42,11 +40,10 @@ PLAIN = (
 """Fields that JSON holds as they are."""
 NAMED = ("violations", "multipliers", "knots")
 """Fields that are arrays by name."""
-_DAMAGED = (
-    EOFError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, SyntaxError, AssertionError,
-    MemoryError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error,
-)  # fmt: skip
-"""What foreign or damaged files make the readers of zip, npy and JSON raise."""
+_LONGEST = 150
+"""Characters of a reason that a reader gives; some quote the file."""
+_DAMAGED = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError)
+"""What parts of a file raise that do not fit together."""
 
 
 _GROUPS: dict[str, Group] = {type(group).__name__: group for group in (ROTATION, MOTION, TURN, SLIDE)}
@@ -96,8 +93,8 @@ def load(path: str | os.PathLike[str]) -> Result:
         raise FileNotFoundError(f"there is no file {name}") from None
     except OSError as error:
         raise ValueError(f"cannot read {name}: {error.strerror or error}") from None
-    except _DAMAGED as error:
-        why = " ".join(str(error).split()) if zipfile.is_zipfile(name) else "it is no .npz file"
+    except Exception as error:  # whatever foreign and damaged files make the readers of zip, npy and JSON raise
+        why = gist(error)[:_LONGEST] if zipfile.is_zipfile(name) else "it is no .npz file"
         raise ValueError(f"{name} is not a result saved by mjslq ({why})") from None
     if isinstance(version, bool) or not isinstance(version, int):
         raise ValueError(f"{name} is not a result saved by mjslq (its format is {describe(version)})")
@@ -122,8 +119,8 @@ def load(path: str | os.PathLike[str]) -> Result:
 def _fields_of(header: dict[str, Any], arrays: dict[str, Array]) -> dict[str, Any]:
     scene = None
     if "scene_model" in arrays:
-        columns = tuple(int(i) for i in arrays["scene_columns"])
-        lines = tuple((float(m), float(o)) for m, o in arrays.get("scene_lines", np.zeros((0, 2))))
+        columns = tuple(_whole("scene_columns", arrays).tolist())
+        lines = tuple((m, o) for m, o in as_array("scene_lines", arrays.get("scene_lines", np.zeros((0, 2)))).tolist())
         if arrays["scene_model"].dtype != np.uint8:
             raise ValueError(f"scene_model must be bytes, got {describe(arrays['scene_model'])}")
         scene = Scene(arrays["scene_model"].tobytes(), columns, header["scene_name"], lines)
@@ -163,7 +160,7 @@ def _pack(name: str, trajectories: Sequence[Trajectory]) -> dict[str, Array]:
 
 
 def _unpack(name: str, arrays: dict[str, Array]) -> tuple[Trajectory, ...]:
-    stacked = [arrays[f"{name}_{part}"] for part in (*_PARTS, "diverged_at")]
+    stacked = [*(arrays[f"{name}_{part}"] for part in _PARTS), _whole(f"{name}_diverged_at", arrays)]
     substates = arrays.get(f"{name}_substates", [None] * len(stacked[0]))
     return tuple(
         Trajectory(x, u, y, dt, None if at < 0 else int(at), between)
@@ -182,13 +179,22 @@ def _pack_space(space: StateSpace) -> dict[str, Array]:
 def _unpack_space(arrays: dict[str, Array]) -> StateSpace | None:
     if "space_size" not in arrays:
         return None
-    nx, ndx = (int(size) for size in arrays["space_size"])
+    nx, ndx = _whole("space_size", arrays).tolist()
     elements: list[tuple[Group, Any, Any]] = []
     for name, group in _GROUPS.items():
         if f"space_x/{name}" in arrays:
-            rows = zip(arrays[f"space_x/{name}"].tolist(), arrays[f"space_dx/{name}"].tolist(), strict=True)
-            elements += [(group, x, dx) for x, dx in rows]
+            x, dx = (_whole(f"space_{part}/{name}", arrays, 2).tolist() for part in ("x", "dx"))
+            rows = zip(x, dx, strict=True)
+            elements += [(group, *row) for row in rows]
     return StateSpace.of(nx, ndx, elements)
+
+
+def _whole(name: str, arrays: dict[str, Array], dimensions: int = 1) -> Array:
+    """An array of whole numbers. Raises ValueError for another."""
+    array = arrays[name]
+    if array.dtype.kind not in "iu" or array.ndim != dimensions:
+        raise ValueError(f"{name} must be whole numbers, got {describe(array)}")
+    return array
 
 
 def _plain(value: Any) -> Any:
