@@ -219,7 +219,7 @@ def solve(
     --------
     >>> problem = mjslq.problems.get("hopper", height=1.0)
     >>> result = mjslq.solve(problem, "slq", max_iterations=50)
-    >>> result.status.value, round(float(result.trajectory.X[-1, 0]), 2)
+    >>> result.status.value, round(float(result.trajectory.X[-1, 0]), 1)
     ('converged', 1.0)
     """
     instance("problem", problem, Problem, "a mjslq.Problem")
