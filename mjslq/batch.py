@@ -112,6 +112,14 @@ def solve_many(
     ValueError
         At once for arguments out of range, unknown methods and options, and a folder that cannot be written to; during
         the iteration for a file in `out` that belongs to another problem.
+
+    Examples
+    --------
+    >>> from concurrent.futures import ThreadPoolExecutor
+    >>> hops = (mjslq.problems.get("hopper", height=height) for height in (1.0, 2.0))
+    >>> with ThreadPoolExecutor(2) as pool:
+    ...     [solved.success for solved in mjslq.solve_many(hops, pool, ordered=True)]
+    [True, True]
     """
     if executor is not None and not isinstance(executor, Executor):
         raise ValueError(f"executor must be a concurrent.futures.Executor, got {type(executor).__name__}")

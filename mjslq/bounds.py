@@ -31,6 +31,11 @@ class Bounds:
 
     Raises ValueError when a problem is made with them, for shapes that do not belong to its controls and for limits
     that leave nothing between them; the message names the control.
+
+    Examples
+    --------
+    >>> wide = mjslq.Bounds(u=(-5.0, 5.0), x=(None, [np.inf, 0.3]))  # the second state at most 0.3
+    >>> free = mjslq.Bounds(u=None)
     """
 
     u: Literal["model"] | tuple[ArrayLike, ArrayLike] | None = "model"
@@ -43,7 +48,10 @@ class Bounds:
     there is no limit; None for none. Shape () | (nx,) | (N + 1, nx)."""
 
     def bind_states(self, dynamics: Dynamics, N: int, taken: Sequence[str]) -> BoundConstraint:
-        """The limits of the states as a constraint called "bounds". Raises ValueError."""
+        """The limits of the states over `N` steps of `dynamics`, as a constraint called "bounds".
+
+        Raises ValueError, also where "bounds" is among the names of constraints that are `taken`.
+        """
         try:
             lower, upper = (None, None) if self.x is None else self.x
         except (TypeError, ValueError):
@@ -56,7 +64,7 @@ class Bounds:
             raise ValueError(f"bounds: x: {error}") from None
 
     def bind(self, dynamics: Dynamics, N: int) -> Box:
-        """Spread the limits over N steps of `dynamics`. Raises ValueError, see the class."""
+        """The limits of the controls over `N` steps of `dynamics`. Raises ValueError, see the class."""
         nu = dynamics.nu
         if isinstance(self.u, str):
             if self.u != "model":

@@ -71,6 +71,10 @@ class State(Constraint):
     """Limits of the entries of the state, lower <= x <= upper.
 
     A quaternion's entries are limited as the numbers that they are; most often they have no limits.
+
+    Examples
+    --------
+    >>> track = mjslq.constraints.State(lower=[-0.25, -np.inf], upper=[0.25, np.inf], name="track")
     """
 
     lower: ArrayLike | Timed | None = None
@@ -96,7 +100,12 @@ class State(Constraint):
 
 @dataclass(frozen=True)
 class Control(Constraint):
-    """Limits of the controls, lower <= u <= upper, at every step; the problem's `bounds` hold beside them."""
+    """Limits of the controls, lower <= u <= upper, at every step; the problem's `bounds` hold beside them.
+
+    Examples
+    --------
+    >>> effort = mjslq.constraints.Control(lower=-2.0, upper=2.0, name="effort")
+    """
 
     lower: ArrayLike | Timed | None = None
     """A number, one a control, one a step and control, or a function of time t -> limits; -inf where there is none,
@@ -120,7 +129,12 @@ class Control(Constraint):
 
 @dataclass(frozen=True)
 class Sensor(Constraint):
-    """Limits of an output of the engine: a MuJoCo sensor, such as a distance, or a frame's position."""
+    """Limits of an output of the engine: a MuJoCo sensor, such as a distance, or a frame's position.
+
+    Examples
+    --------
+    >>> clearance = mjslq.constraints.Sensor("hand_to_box", lower=0.02)  # [m]
+    """
 
     sensor: str
     """The sensor's name."""
@@ -184,6 +198,10 @@ class Path(Constraint):
 
     Plain Python is called knot by knot; a function compiled by `numba.njit` is not. See `mjslq.costs.Residual` for
     what such functions have to return.
+
+    Examples
+    --------
+    >>> outside = mjslq.constraints.Path(lambda x, u, t: 1.0 - x[0] ** 2 - x[1] ** 2)  # of the unit circle
     """
 
     w: Callable[..., Any]
@@ -218,7 +236,12 @@ class Path(Constraint):
 
 @dataclass(frozen=True)
 class Terminal(Constraint):
-    """m(x_N) = 0, or <= 0, for any smooth function m of the final state."""
+    """m(x_N) = 0, or <= 0, for any smooth function m of the final state.
+
+    Examples
+    --------
+    >>> rest = mjslq.constraints.Terminal(lambda x: x[1])  # no speed at the end
+    """
 
     m: Callable[..., Any]
     """m(x) -> (m,) or a number. Analytic in x unless `jacobian` is given."""
@@ -239,6 +262,10 @@ class Initial(Constraint):
     The problem's own x0 is what the search starts from, and what entries that are not free stay at. The multiplier nu
     of q and the costate of the first knot belong together, lambda_0 = -(dq/dx)'nu on the free entries (McQuade 1989,
     (2.35)).
+
+    Examples
+    --------
+    >>> thrown = mjslq.constraints.Initial(free=[1])  # the first speed is to be found
     """
 
     q: Callable[..., Any] | None = None

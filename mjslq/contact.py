@@ -31,6 +31,11 @@ class Contact:
     """Parameters of all contacts of a model; those that are not given are the kind's.
 
     Raises ValueError for an unknown kind, parameters of "model", which has its own, and values out of range.
+
+    Examples
+    --------
+    >>> mjslq.Contact("smooth", width=0.01).solimp
+    (0.0, 0.99, 0.01, 0.5, 2.0)
     """
 
     kind: str = "model"
@@ -92,7 +97,7 @@ class Contact:
 
     @classmethod
     def of(cls, given: Any) -> Contact:
-        """A kind's name or a `Contact`, as a `Contact`; raises ValueError for anything else."""
+        """Return `given`, a kind's name or a `Contact`, as a `Contact`. Raises ValueError for anything else."""
         if isinstance(given, cls):
             return given
         if isinstance(given, str):

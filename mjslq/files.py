@@ -1,18 +1,23 @@
-"""Files that are written whole or not at all."""
+"""Files that are written whole or not at all, and arrays that are read without pickle."""
 
 from __future__ import annotations
 
 import os
 import tempfile
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from mjslq.validation import path_of
+import numpy as np
+
+from mjslq.validation import Array, gist, path_of
 
 _NAME = 60
 """Characters of a file's name that its temporary one begins with."""
+_REASON = 150
+"""Characters of a reason that a reader gives; some quote the file."""
 
 
 @contextmanager
@@ -55,3 +60,23 @@ def writable(path: str | os.PathLike[str]) -> Path:
     except OSError as error:  # such as a name that is too long
         raise ValueError(f"cannot write {target}: {error.strerror or error}") from None
     return target
+
+
+def read_arrays(path: str | os.PathLike[str], what: str) -> dict[str, Array]:
+    """Read all arrays of an .npz file, without pickle; `what` is what it should be: "a result saved by mjslq".
+
+    Raises FileNotFoundError, and ValueError for whatever is no such file, or not a whole one.
+    """
+    name = path_of("path", path)
+    if name.is_dir():
+        raise ValueError(f"{name} is a folder, not {what}")
+    try:
+        with open(name, "rb") as stream, np.load(stream, allow_pickle=False) as data:
+            return {entry: np.asarray(data[entry]) for entry in data.files}
+    except FileNotFoundError:
+        raise FileNotFoundError(f"there is no file {name}") from None
+    except OSError as error:
+        raise ValueError(f"cannot read {name}: {error.strerror or error}") from None
+    except Exception as error:  # whatever foreign and damaged files make the readers of zip and npy raise
+        why = gist(error)[:_REASON] if zipfile.is_zipfile(name) else "it is no .npz file"
+        raise ValueError(f"{name} is not {what} ({why})") from None

@@ -12,7 +12,15 @@ same iterate; no step was found; none was looked for, because the solve ended he
 
 @dataclass(frozen=True)
 class IterationLog:
-    """One iteration in numbers: the iterate, the direction found there, and the step taken along it."""
+    """One iteration in numbers: the iterate, the direction found there, and the step taken along it.
+
+    Examples
+    --------
+    >>> result = mjslq.solve(mjslq.problems.get("hopper", height=1.0))
+    >>> start = result.log[0]
+    >>> start.iteration, start.cost > result.cost
+    (0, True)
+    """
 
     iteration: int
     """Number of steps taken before this one: 0 describes the start."""

@@ -140,6 +140,15 @@ class MPC:
     ------
     ValueError
         For options that the method does not have, and for a horizon of unequal steps, which cannot be moved in time.
+
+    Examples
+    --------
+    >>> dynamics = mjslq.FunctionDynamics(lambda x, u: np.array([x[1], u[0]]), nx=2, nu=1, dt=0.1)
+    >>> terms = [mjslq.costs.Control(0.1), mjslq.costs.State(1.0, when="always")]
+    >>> controller = mjslq.MPC(mjslq.Problem(dynamics, 20, [1.0, 0.0], terms))
+    >>> u = controller.step([1.0, 0.0], t=0.0)
+    >>> u.shape, controller.statistics.plans
+    ((1,), 1)
     """
 
     def __init__(
@@ -197,7 +206,7 @@ class MPC:
         self._issued: deque[tuple[float, Array]] = deque()  # controls, and when they begin to act
 
     def pose(self, problem: Problem) -> None:
-        """Go on with another problem of the same engine and horizon: another target, other weights.
+        """Go on with another `problem` of the same engine and horizon: another target, other weights.
 
         The plan in force is what the next one starts from. Raises ValueError for problems of other sizes.
         """
@@ -255,7 +264,7 @@ class MPC:
         disturbances: Sequence[Disturbance] = (),
         delay: float | None = None,
     ) -> ClosedLoop:
-        """Control a simulated plant, after `reset`; see `mjslq.simulation.run`."""
+        """Reset and control a simulated plant; see `mjslq.simulation.run` for the arguments and what is returned."""
         from mjslq.simulation import run
 
         return run(self, plant, duration, x0, disturbances, self._delay if delay is None else delay)

@@ -135,7 +135,20 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
 
 
 def methods() -> dict[str, MethodInfo]:
-    """Methods by name: what each does, needs and can be told."""
+    """Methods by name: what each does, needs and can be told.
+
+    Returns
+    -------
+    dict
+        A record for each method, with `summary`, `needs` and `options` (name -> default) among its fields.
+
+    Examples
+    --------
+    >>> list(mjslq.methods())[:3]
+    ['auto', 'slq', 'newton']
+    >>> mjslq.methods()["trust-region"].options["radius"]
+    1.0
+    """
     return dict(METHODS)
 
 
@@ -207,6 +220,13 @@ def solve(
     ------
     ValueError
         For an unknown method or option, a start of the wrong shape, or derivatives that fail their check.
+
+    Examples
+    --------
+    >>> problem = mjslq.problems.get("hopper", height=1.0)
+    >>> result = mjslq.solve(problem, "slq", max_iterations=50)
+    >>> result.status.value, round(float(result.trajectory.X[-1, 0]), 1)
+    ('converged', 1.0)
     """
     instance("problem", problem, Problem, "a mjslq.Problem")
     count("verbose", verbose, at_least=0)

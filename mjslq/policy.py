@@ -27,7 +27,15 @@ NEAR = 1e-9
 class Policy:
     """A control law over a horizon; call it with a state and a time.
 
-    Raises ValueError when shapes do not belong together.
+    Raises ValueError when shapes do not belong together, here and for states and times that are none.
+
+    Examples
+    --------
+    >>> hold = mjslq.Policy(X=np.zeros((3, 2)), U=np.ones((2, 1)), K=np.full((2, 1, 2), 0.5), dt=0.1, upper=1.2)
+    >>> hold([-0.2, 0.0], t=0.05)
+    array([1.1])
+    >>> hold([-9.0, 0.0], t=0.05)  # within the limits
+    array([1.2])
     """
 
     X: Array
@@ -139,7 +147,7 @@ class Policy:
 
     @classmethod
     def along(cls, trajectory: Trajectory, space: StateSpace | None = None) -> Policy:
-        """The controls of a trajectory, without feedback."""
+        """The controls of a `trajectory` as a policy without feedback, for states of a `space` (plain unless given)."""
         instance("trajectory", trajectory, Trajectory, "a Trajectory")
         return cls(trajectory.X, trajectory.U, None, trajectory.dt, space=space)
 

@@ -8,14 +8,14 @@ policy_format               version of this layout
 from __future__ import annotations
 
 import os
-import zipfile
 from typing import Any
 
 import numpy as np
 
-from mjslq.files import atomic_write
+from mjslq.files import atomic_write, read_arrays
 from mjslq.policy import Policy
-from mjslq.storage import DAMAGED, pack_space, unpack_space
+from mjslq.storage import pack_space, unpack_space
+from mjslq.validation import gist
 
 FORMAT = 1
 """Version of the layout; files of another one are refused."""
@@ -33,19 +33,18 @@ def save_policy(policy: Policy, path: str | os.PathLike[str]) -> None:
 
 def load_policy(path: str | os.PathLike[str]) -> Policy:
     """Read what `save_policy` wrote; see `Policy.load`."""
-    name = os.fspath(path)
+    what = "a policy saved by mjslq"
+    name, arrays = os.fspath(path), read_arrays(path, what)
+    if "policy_format" not in arrays:
+        found = "a whole result, whose policy is mjslq.load(path).policy" if "header" in arrays else "of another kind"
+        raise ValueError(f"{name} is not {what} (it is {found})")
     try:
-        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as data:
-            if "header" in data.files and "policy_format" not in data.files:
-                raise ValueError("it is a whole result, whose policy is mjslq.load(path).policy")
-            version = int(data["policy_format"])
-            if version != FORMAT:
-                raise ValueError(f"it has format {version}, this version of mjslq reads format {FORMAT}")
-            arrays = {entry: data[entry] for entry in data.files}
+        version = int(arrays["policy_format"])
+        if version != FORMAT:
+            raise ValueError(f"it has format {version}, this version of mjslq reads format {FORMAT}")
         given = {entry: arrays[entry] for entry in ("X", "U", "K", "dt", "lower", "upper")}
         return Policy(**given, space=unpack_space(arrays))
-    except FileNotFoundError:
-        raise FileNotFoundError(f"there is no file {name}") from None
-    except (OSError, *DAMAGED) as error:
-        why = " ".join(str(error).split()) if zipfile.is_zipfile(path) or os.path.isdir(path) else "it is no .npz file"
-        raise ValueError(f"{name} is not a policy saved by mjslq ({why})") from None
+    except KeyError as error:
+        raise ValueError(f"{name} is not {what} ({error} is missing)") from None
+    except (ValueError, TypeError, IndexError) as error:
+        raise ValueError(f"{name} is not {what} ({gist(error)})") from None

@@ -23,7 +23,15 @@ from mjslq.validation import Array
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Outcome of `solve`; all of it survives `save` and `load`."""
+    """Outcome of `solve`; all of it survives `save` and `load`.
+
+    Examples
+    --------
+    >>> result = mjslq.solve(mjslq.problems.get("hopper", height=1.0))
+    >>> result.success, result.problem, result.trajectory.X.shape
+    (True, 'hopper', (101, 4))
+    >>> u = result.policy(result.trajectory.X[0], t=0.0)  # feedback, without the solver
+    """
 
     status: Status
     """Why the solve stopped."""
@@ -156,16 +164,44 @@ class Result:
         return replay(self, Contact.of(contact), feedback)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write everything to `path` (NumPy's npz), whole or not at all."""
+        """Write everything to the file `path` (NumPy's npz), whole or not at all.
+
+        Raises ValueError where it cannot be written, such as on a full disk; a file that was there stays as it was.
+        """
         from mjslq.storage import save
 
         save(self, path)
 
 
 def load(path: str | os.PathLike[str]) -> Result:
-    """Read a result that `Result.save` wrote.
+    """Read a result that `Result.save` wrote; nothing in the file is executed.
 
-    Raises FileNotFoundError when there is no such file, ValueError when it is something else than a result.
+    Parameters
+    ----------
+    path : str or path
+        The .npz file.
+
+    Returns
+    -------
+    Result
+        Equal to the one that was saved, bit for bit.
+
+    Raises
+    ------
+    FileNotFoundError
+        When there is no such file.
+    ValueError
+        When it is something else than a result, damaged, or of another version of the format.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> result = mjslq.solve(mjslq.problems.get("hopper", height=1.0))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     result.save(os.path.join(folder, "hop.npz"))
+    ...     again = mjslq.load(os.path.join(folder, "hop.npz"))
+    >>> again.cost == result.cost
+    True
     """
     from mjslq.storage import load as read
 

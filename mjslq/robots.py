@@ -48,14 +48,44 @@ _SHORT = {
 
 
 def robot_names() -> tuple[str, ...]:
-    """Names that `robot_path` knows, in alphabetical order."""
+    """Names that `robot_path` knows.
+
+    Returns
+    -------
+    tuple of str
+        In alphabetical order.
+
+    Examples
+    --------
+    >>> from mjslq.robots import robot_names
+    >>> "panda" in robot_names()
+    True
+    """
     return tuple(_robots())
 
 
 def robot_path(name: str) -> Path:
-    """URDF file of the robot `name` ("panda", "ur5", "solo12", "g1", ...).
+    """Path of the URDF file of a robot of the package example-robot-data.
 
-    Raises ValueError, which lists the names, when there is no such robot.
+    Parameters
+    ----------
+    name : str
+        Such as "panda", "ur5", "solo12" or "g1"; `mjslq.robots.robot_names` lists them.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    ValueError
+        When there is no such robot; lists the names.
+
+    Examples
+    --------
+    >>> mjslq.robot_path("ur5").name
+    'ur5_robot.urdf'
     """
     return _robots()[choose("robot", name, _robots())]
 
@@ -73,20 +103,35 @@ def robot_spec(
 
     Parameters
     ----------
-    name
+    name : str
         As in `robot_path`.
-    floating
+    floating : bool
         Give the root link a free joint, named "root", instead of fixing it to the world.
-    motors
+    motors : bool
         Add a motor, limited by the joint's effort, to every joint with one axis that does not mimic another.
-    floor
+    floor : bool
         Add a ground plane at height zero, and a light.
-    armature
+    armature : float
         Rotor inertia of every joint with one axis. [kg m^2 or kg]
-    self_contacts
+    self_contacts : bool
         Let the robot's links touch each other; in many URDF files they overlap where they are joined.
 
-    Meshes that MuJoCo cannot read (the package has many in .dae) are left out without a warning, as they are known.
+    Returns
+    -------
+    mujoco.MjSpec
+        Without the meshes that MuJoCo cannot read, of which the package has many (.dae): no warning tells of them.
+
+    Raises
+    ------
+    ValueError
+        When there is no such robot.
+
+    Examples
+    --------
+    >>> from mjslq.robots import robot_spec
+    >>> arm = mjslq.MujocoDynamics.from_spec(robot_spec("ur5", armature=0.01, self_contacts=False))
+    >>> arm.nu
+    6
     """
     from mjslq.dynamics.mujoco.files import urdf_spec
 

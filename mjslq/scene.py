@@ -21,7 +21,15 @@ class Marker:
 
 @dataclass(frozen=True)
 class Scene:
-    """What a viewer needs to draw a trajectory; kept inside saved results."""
+    """What a viewer needs to draw a trajectory; kept inside saved results.
+
+    Examples
+    --------
+    >>> problem = mjslq.problems.get("hopper")
+    >>> scene, motion = problem.scene(), problem.rollout(problem.U0)
+    >>> scene.poses(motion.X).shape == (problem.horizon + 1, len(scene.columns))
+    True
+    """
 
     model: bytes
     """The compiled model in MuJoCo's binary format (MJB). Made to be drawn: the boxes around parts of meshes that

@@ -29,7 +29,12 @@ WHOLE = 1e-6
 
 @dataclass(frozen=True)
 class Push:
-    """A force on a body of a MuJoCo plant, at its centre of mass, in the world's frame."""
+    """A force on a body of a MuJoCo plant, at its centre of mass, in the world's frame.
+
+    Examples
+    --------
+    >>> push = mjslq.simulation.Push("pelvis", force=[80.0, 0.0, 0.0], at=0.5, duration=0.2)
+    """
 
     body: str
     """Name of the body."""
@@ -45,7 +50,12 @@ class Push:
 
 @dataclass(frozen=True)
 class Kick:
-    """A sudden change of the state, of any plant."""
+    """A sudden change of the state, of any plant.
+
+    Examples
+    --------
+    >>> kick = mjslq.simulation.Kick(dx=[0.0, 0.5], at=0.3)
+    """
 
     dx: ArrayLike
     """Tangent direction along which the state jumps. Shape (ndx,)."""
@@ -58,7 +68,16 @@ Disturbance = Push | Kick
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """What a plant did under a controller."""
+    """What a plant did under a controller.
+
+    Examples
+    --------
+    >>> dynamics = mjslq.FunctionDynamics(lambda x, u: np.array([x[1], u[0]]), nx=2, nu=1, dt=0.1)
+    >>> terms = [mjslq.costs.Control(0.1), mjslq.costs.State(1.0, when="always")]
+    >>> loop = mjslq.MPC(mjslq.Problem(dynamics, 20, [1.0, 0.0], terms)).run(duration=0.5)
+    >>> loop.trajectory.horizon, loop.statistics.plans
+    (5, 5)
+    """
 
     trajectory: Trajectory
     """States at the control periods and the controls that the controller answered them with."""
@@ -117,6 +136,16 @@ def run(
     ValueError
         For a plant of other states or controls than the problem's, for times that are no whole number of its steps,
         and for disturbances that it cannot have.
+
+    Examples
+    --------
+    >>> dynamics = mjslq.FunctionDynamics(lambda x, u: np.array([x[1], u[0]]), nx=2, nu=1, dt=0.1)
+    >>> terms = [mjslq.costs.Control(0.1), mjslq.costs.State(1.0, when="always")]
+    >>> controller = mjslq.MPC(mjslq.Problem(dynamics, 20, [1.0, 0.0], terms))
+    >>> kick = mjslq.simulation.Kick(dx=[0.0, 1.0], at=0.2)
+    >>> loop = mjslq.simulation.run(controller, duration=6.0, disturbances=[kick])
+    >>> bool(np.abs(loop.trajectory.X[-1]).max() < 0.05)
+    True
     """
     problem, period = mpc.problem, mpc.period
     made = plant_of(problem.dynamics if plant is None else plant, problem.dynamics)

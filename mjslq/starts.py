@@ -59,6 +59,18 @@ def hold(problem: Problem, x: ArrayLike | None = None) -> Array:
     -------
     array
         Shape (N, nu).
+
+    Raises
+    ------
+    ValueError
+        For a state of the wrong shape.
+
+    Examples
+    --------
+    >>> dynamics = mjslq.FunctionDynamics(lambda x, u: np.array([x[1], u[0] - 9.81]), nx=2, nu=1, dt=0.1)
+    >>> problem = mjslq.Problem(dynamics, 20, [0.0, 0.0], [mjslq.costs.Control(1.0)])
+    >>> mjslq.starts.hold(problem)[0].round(6)  # gravity is balanced
+    array([9.81])
     """
     instance("problem", problem, Problem, "a mjslq.Problem")
     x = np.asarray(problem.x0) if x is None else problem.dynamics.checked_start(x, "x")
@@ -96,6 +108,19 @@ def servo(
     -------
     Policy
         Hand it to `solve(problem, guess=...)`.
+
+    Raises
+    ------
+    ValueError
+        For a state of the wrong shape, gains that are not positive, and systems without a velocity for each position.
+
+    Examples
+    --------
+    >>> dynamics = mjslq.FunctionDynamics(lambda x, u: np.array([x[1], u[0]]), nx=2, nu=1, dt=0.01)
+    >>> problem = mjslq.Problem(dynamics, 20, [0.0, 0.0], [mjslq.costs.Control(1.0)])
+    >>> servo = mjslq.starts.servo(problem, target=[1.0, 0.0], stiffness=25.0)
+    >>> servo([0.0, 0.0], t=0.0).round(1)
+    array([25.])
     """
     dynamics, N = instance("problem", problem, Problem, "a mjslq.Problem").dynamics, problem.horizon
     goal = np.asarray(problem.x0) if target is None else dynamics.checked_start(target, "target")

@@ -6,7 +6,16 @@ import enum
 
 
 class Status(enum.Enum):
-    """Why a solve stopped. Only `CONVERGED` is success; not converging is a status, never an exception."""
+    """Why a solve stopped. Only `CONVERGED` is success; not converging is a status, never an exception.
+
+    Examples
+    --------
+    >>> result = mjslq.solve(mjslq.problems.get("hopper"), max_iterations=2)
+    >>> result.status is mjslq.Status.MAX_ITERATIONS
+    True
+    >>> print(result.status.message)
+    The iterations ran out before the tolerance was met. Raise max_iterations, ...
+    """
 
     CONVERGED = "converged"
     MAX_ITERATIONS = "max_iterations"

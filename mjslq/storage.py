@@ -12,9 +12,6 @@ from __future__ import annotations
 
 import json
 import os
-import struct
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
@@ -22,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from mjslq.contact import Contact
-from mjslq.files import atomic_write
+from mjslq.files import atomic_write, read_arrays
 from mjslq.lie_groups import MOTION, ROTATION, SLIDE, TURN, Group
 from mjslq.log import IterationLog
 from mjslq.manifold import StateSpace
@@ -31,7 +28,7 @@ from mjslq.scene import Marker, Scene
 from mjslq.status import Status
 from mjslq.stored import checked
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, describe, gist, path_of
+from mjslq.validation import Array, as_array, describe, gist
 
 FORMAT = 2
 """Version of the file format; files of another version are refused."""
@@ -43,11 +40,8 @@ PLAIN = (
 """Fields that JSON holds as they are."""
 NAMED = ("violations", "multipliers", "knots")
 """Fields that are arrays by name."""
-DAMAGED = (
-    EOFError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, SyntaxError, AssertionError,
-    MemoryError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error, NotImplementedError,
-)  # fmt: skip
-"""What foreign or damaged files make the readers of zip, npy and JSON raise."""
+_DAMAGED = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError)
+"""What parts of a file raise that do not fit together."""
 
 
 _GROUPS: dict[str, Group] = {type(group).__name__: group for group in (ROTATION, MOTION, TURN, SLIDE)}
@@ -86,21 +80,12 @@ def save(result: Result, path: str | os.PathLike[str]) -> None:
 
 def load(path: str | os.PathLike[str]) -> Result:
     """Read what `save` wrote; see `mjslq.load`."""
-    name = path_of("path", path)
-    if name.is_dir():
-        raise ValueError(f"{name} is a folder, not a result saved by mjslq")
+    name, arrays = os.fspath(path), read_arrays(path, "a result saved by mjslq")
     try:
-        with open(name, "rb") as stream, np.load(stream, allow_pickle=False) as data:
-            header = json.loads(str(data["header"]))
-            version = header["format"]
-            arrays = {entry: np.asarray(data[entry]) for entry in data.files}
-    except FileNotFoundError:
-        raise FileNotFoundError(f"there is no file {name}") from None
-    except OSError as error:
-        raise ValueError(f"cannot read {name}: {error.strerror or error}") from None
-    except DAMAGED as error:
-        why = " ".join(str(error).split()) if zipfile.is_zipfile(name) else "it is no .npz file"
-        raise ValueError(f"{name} is not a result saved by mjslq ({why})") from None
+        header = json.loads(str(arrays.pop("header")))
+        version = header["format"]
+    except (KeyError, TypeError, ValueError, RecursionError):
+        raise ValueError(f"{name} is not a result saved by mjslq (it has no header that can be read)") from None
     if isinstance(version, bool) or not isinstance(version, int):
         raise ValueError(f"{name} is not a result saved by mjslq (its format is {describe(version)})")
     if version != FORMAT:
@@ -112,7 +97,7 @@ def load(path: str | os.PathLike[str]) -> Result:
         found = _fields_of(header, arrays)
     except KeyError as error:
         raise ValueError(f"{name} is not a whole result of mjslq: {error} is missing") from None
-    except DAMAGED as error:
+    except _DAMAGED as error:
         raise ValueError(f"{name} is not a whole result of mjslq: {gist(error)}") from None
     result = Result(**found)
     try:
@@ -124,8 +109,8 @@ def load(path: str | os.PathLike[str]) -> Result:
 def _fields_of(header: dict[str, Any], arrays: dict[str, Array]) -> dict[str, Any]:
     scene = None
     if "scene_model" in arrays:
-        columns = tuple(int(i) for i in arrays["scene_columns"])
-        lines = tuple((float(m), float(o)) for m, o in arrays.get("scene_lines", np.zeros((0, 2))))
+        columns = tuple(_whole("scene_columns", arrays).tolist())
+        lines = tuple((m, o) for m, o in as_array("scene_lines", arrays.get("scene_lines", np.zeros((0, 2)))).tolist())
         if arrays["scene_model"].dtype != np.uint8:
             raise ValueError(f"scene_model must be bytes, got {describe(arrays['scene_model'])}")
         markers = tuple(Marker(m["name"], tuple(m["position"])) for m in header.get("scene_markers", ()))
@@ -167,7 +152,7 @@ def _pack(name: str, trajectories: Sequence[Trajectory]) -> dict[str, Array]:
 
 
 def _unpack(name: str, arrays: dict[str, Array]) -> tuple[Trajectory, ...]:
-    stacked = [arrays[f"{name}_{part}"] for part in (*_PARTS, "diverged_at")]
+    stacked = [*(arrays[f"{name}_{part}"] for part in _PARTS), _whole(f"{name}_diverged_at", arrays)]
     substates = arrays.get(f"{name}_substates", [None] * len(stacked[0]))
     return tuple(
         Trajectory(x, u, y, dt, None if at < 0 else int(at), between)
@@ -188,13 +173,22 @@ def unpack_space(arrays: dict[str, Array]) -> StateSpace | None:
     """Read what `pack_space` wrote; None where it wrote nothing."""
     if "space_size" not in arrays:
         return None
-    nx, ndx = (int(size) for size in arrays["space_size"])
+    nx, ndx = _whole("space_size", arrays).tolist()
     elements: list[tuple[Group, Any, Any]] = []
     for name, group in _GROUPS.items():
         if f"space_x/{name}" in arrays:
-            rows = zip(arrays[f"space_x/{name}"].tolist(), arrays[f"space_dx/{name}"].tolist(), strict=True)
-            elements += [(group, x, dx) for x, dx in rows]
+            x, dx = (_whole(f"space_{part}/{name}", arrays, 2).tolist() for part in ("x", "dx"))
+            rows = zip(x, dx, strict=True)
+            elements += [(group, *row) for row in rows]
     return StateSpace.of(nx, ndx, elements)
+
+
+def _whole(name: str, arrays: dict[str, Array], dimensions: int = 1) -> Array:
+    """An array of whole numbers. Raises ValueError for another."""
+    array = arrays[name]
+    if array.dtype.kind not in "iu" or array.ndim != dimensions:
+        raise ValueError(f"{name} must be whole numbers, got {describe(array)}")
+    return array
 
 
 def _plain(value: Any) -> Any:

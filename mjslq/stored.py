@@ -35,6 +35,8 @@ def checked(result: Result) -> Result:
     arrays: dict[str, Any] = {
         name: as_array(name, getattr(result, name), limits, finite=False) for name in ("lower", "upper")
     }
+    if not (arrays["lower"] <= arrays["upper"]).all():
+        raise ValueError("lower must not lie above upper, and neither may be NaN")
     for name, shape in (("gains", (*limits, ndx)), ("gradient", limits)):
         if getattr(result, name) is not None:
             arrays[name] = as_array(name, getattr(result, name), shape, finite=False)

@@ -28,6 +28,12 @@ class Trajectory:
     there on are NaN. Such a trajectory can be looked at, but costs infinity.
 
     Raises ValueError when shapes do not belong together or a knot before `diverged_at` is not finite.
+
+    Examples
+    --------
+    >>> motion = mjslq.Trajectory(X=np.zeros((4, 2)), U=np.zeros((3, 1)), dt=0.5)
+    >>> motion.horizon, motion.times.tolist(), motion.diverged
+    (3, [0.0, 0.5, 1.0, 1.5], False)
     """
 
     X: Array
@@ -83,8 +89,8 @@ class Trajectory:
     ) -> Trajectory:
         """Make a trajectory of arrays that an engine has just filled: nothing is checked, and nothing copied.
 
-        Shapes and types are those of the fields; `dt` may be a number. Whoever holds one of the arrays must not write
-        into it afterwards.
+        `X`, `U`, `Y`, `diverged_at` and `substates` are as the fields; `dt` may be a number. Whoever holds one of the
+        arrays must not write into it afterwards.
         """
         made = object.__new__(cls)
         fields = {"X": frozen(X), "U": frozen(U), "Y": frozen(Y), "dt": np.broadcast_to(dt, (len(U),))}

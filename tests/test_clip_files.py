@@ -101,7 +101,10 @@ def test_one_sentence_for_each_wrong_csv(tmp_path, case):
         ({"time": np.arange(3.0), "head.position": np.full((3, 3), np.nan)}, "position of 'head' must be finite"),
         ({"time": np.arange(3.0), "qpos.knee": np.eye(3)}, "qpos of 'knee' must have shape (3,), got (3, 3)"),
         ({"time": np.arange(3.0), "qpos.knee": np.arange(3.0), "format": 7}, "has the format 7, this version of mjslq"),
-        ({"time": np.arange(3.0), "qpos.knee": np.array([None, 1, 2])}, "cannot be read: Object arrays cannot be"),
+        (
+            {"time": np.arange(3.0), "qpos.knee": np.array([None, 1, 2])},
+            "is not a recorded motion (Object arrays cannot be",
+        ),
         ({"time": np.array(["a", "b", "c"]), "qpos.knee": np.arange(3.0)}, "times must be an array of numbers"),
     ],
 )
@@ -109,7 +112,7 @@ def test_one_sentence_for_each_wrong_npz(tmp_path, arrays, told):
     np.savez(tmp_path / "wave.npz", **arrays)
     with pytest.raises(ValueError) as caught:
         mjslq.clips.load(tmp_path / "wave.npz")
-    assert str(caught.value).startswith(f"wave.npz: {told}") and "\n" not in str(caught.value)
+    assert told in str(caught.value) and "wave.npz" in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_truncated_foreign_and_missing_files(tmp_path):
@@ -117,7 +120,7 @@ def test_truncated_foreign_and_missing_files(tmp_path):
     whole = (tmp_path / "wave.npz").read_bytes()
     for size in (len(whole) - 30, len(whole) // 2, 10, 0):
         (tmp_path / "part.npz").write_bytes(whole[:size])
-        with pytest.raises(ValueError, match=r"^part.npz: cannot be read: "):
+        with pytest.raises(ValueError, match=r"part\.npz is not a recorded motion \("):
             mjslq.clips.load(tmp_path / "part.npz")
     (tmp_path / "wave.csv").write_bytes(whole)
     with pytest.raises(ValueError, match=r"^wave.csv: it is no text file"):

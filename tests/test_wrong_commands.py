@@ -106,7 +106,7 @@ COMMANDS = [
     ("view ok.npz --port 0", "port must be a whole number of at least 1"),
     ("view ok.npz --port 123456", "port must be at most 65535, got 123456"),
     ("view ok.npz --host nowhere.invalid", "the viewer cannot listen at 'nowhere.invalid'"),
-    ("export ok.npz", "Missing argument 'page'"),
+    ("export ok.npz", "Missing argument 'output'"),
     ("export none.npz page.html", "there is no file none.npz"),
     ("export cut.npz page.html", "cut.npz is not a result saved by mjslq"),
     ("export ok.npz no/page.html", "cannot write no/page.html: there is no folder no"),

@@ -23,8 +23,6 @@ from __future__ import annotations
 import csv
 import io
 import os
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -33,7 +31,7 @@ import numpy as np
 
 from mjslq.clips.clip import SIZES, Clip
 from mjslq.dynamics.records import QUANTITIES
-from mjslq.files import atomic_write
+from mjslq.files import atomic_write, read_arrays
 from mjslq.validation import Array, count
 
 FORMAT = 1
@@ -47,8 +45,6 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 }
 """How the columns of a quantity end."""
 _QUANTITY = {column: of for of, columns in COLUMNS.items() for column in columns}
-_DAMAGED = (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile, zlib.error, NotImplementedError)
-"""What a foreign or damaged file makes the readers of zip and npy raise."""
 Samples = dict[str, Array]
 
 
@@ -62,8 +58,9 @@ def load(path: str | os.PathLike[str]) -> Clip:
     ending = _ending(file)
     if not file.is_file():
         raise ValueError(f"clip file {str(path)!r} {'is a folder' if file.is_dir() else 'does not exist'}")
+    arrays = read_arrays(file, "a recorded motion") if ending == ".npz" else None
     try:
-        return Clip(*(_from_npz(file) if ending == ".npz" else _from_csv(file)), name=file.stem)
+        return Clip(*(_from_csv(file) if arrays is None else _from_arrays(arrays)), name=file.stem)
     except ValueError as error:
         raise ValueError(f"{file.name}: {error}") from None
 
@@ -173,14 +170,8 @@ def _sorted_columns(columns: Mapping[str, Array]) -> tuple[Array, dict[str, Samp
     return columns["time"], frames, joints["qpos"], joints["qvel"]
 
 
-def _from_npz(file: Path) -> tuple[Array, dict[str, Samples], Samples, Samples]:
+def _from_arrays(arrays: dict[str, Array]) -> tuple[Array, dict[str, Samples], Samples, Samples]:
     """Times, frames, joint positions and velocities."""
-    try:
-        with open(file, "rb") as stream, np.load(stream, allow_pickle=False) as data:
-            arrays = {name: np.asarray(data[name]) for name in data.files}
-    except _DAMAGED as error:
-        why = " ".join(str(error).split()) if zipfile.is_zipfile(file) else "it is no .npz file, or not a whole one"
-        raise ValueError(f"cannot be read: {why}") from None
     version = arrays.pop("format", np.array(FORMAT))
     if version.shape != () or version != FORMAT:
         raise ValueError(f"has the format {version}, this version of mjslq reads format {FORMAT}")

@@ -56,6 +56,13 @@ class DerivativeCheck:
     A knot that is off is at a kink of the step, where two one-sided derivatives differ and the Jacobian agrees with one
     of them or lies between; or at a jump, where the step has no derivative; or its constraint solver stops short of the
     solution; or its Jacobian is wrong.
+
+    Examples
+    --------
+    >>> system = mjslq.FunctionDynamics(lambda x, u: np.array([x[1], u[0]]), nx=2, nu=1, dt=0.1)
+    >>> check = system.check_derivatives(system.rollout([0.0, 1.0], np.zeros((10, 1))))
+    >>> check.suspects, check.verdict
+    ([], 'the Jacobians agree with the differences at all knots')
     """
 
     errors: dict[str, float]

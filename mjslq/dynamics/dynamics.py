@@ -50,7 +50,17 @@ DIFFERENCE = 1e-5
 
 
 class Dynamics(ABC):
-    """A discrete-time system; see the notation at the head of this file."""
+    """A discrete-time system, x_{n+1} = f_n(x_n, u_n); the base class of all engines.
+
+    Examples
+    --------
+    >>> system = mjslq.FunctionDynamics(lambda x, u: np.array([x[1], u[0]]), nx=2, nu=1, dt=0.1)
+    >>> isinstance(system, mjslq.Dynamics)
+    True
+    >>> motion = system.rollout([0.0, 1.0], np.zeros((10, 1)))
+    >>> motion.X[-1].round(6).tolist(), system.linearize(motion).B.shape
+    ([1.0, 1.0], (10, 2, 1))
+    """
 
     space: StateSpace
     """Where the state has plain numbers, and where rotations."""
@@ -129,13 +139,15 @@ class Dynamics(ABC):
     def rollouts(self, x0s: Array, U: Array, feedback: Feedback | None = None) -> list[Trajectory]:
         """Simulate m times, from `x0s` (m, nx) with controls `U` (m, N, nu), side by side where the engine has threads.
 
-        Open loop, or each under the same law with its own U_n. A clipped control is the limit itself, to the last bit.
-        For callers inside the package: arguments are not checked, nor normalized, nor copied when m = 1.
+        Open loop, or each under the same law, `feedback`, with its own U_n. A clipped control is the limit itself, to
+        the last bit. For callers inside the package: arguments are not checked, nor normalized, nor copied when m = 1.
         """
 
     @abstractmethod
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
-        """One step: the next state (nx,), and the outputs (ny,) read at (x, u), for step n of the horizon.
+        """Step `n` of the horizon from state `x` (nx,) under control `u` (nu,).
+
+        Returns the next state (nx,), and the outputs (ny,) read at (x, u).
 
         The plain, slow way to the same numbers as `rollout`; tests and derivative checks go it.
         """
@@ -145,8 +157,9 @@ class Dynamics(ABC):
     ) -> Trajectory:
         """Simulate under u_n = u_ref,n + alpha k_n - K_n difference(x_ref,n, x_n), with all arguments checked.
 
-        K has shape (N, nu, ndx), k (N, nu). Starts at the reference's first state unless `x0` is given. Raises
-        ValueError for arrays of other shapes, and for a reference that diverged or is of another system.
+        The gains `K` have shape (N, nu, ndx), `k` (N, nu) is multiplied by `alpha`. Starts at the first state of the
+        trajectory `reference` unless `x0` is given. Raises ValueError for arrays of other shapes, and for a reference
+        that diverged or is of another system.
         """
         self.check_trajectory(reference)
         N = reference.horizon
@@ -160,7 +173,7 @@ class Dynamics(ABC):
         return 1
 
     def limit_threads(self, number: int) -> None:  # noqa: B027 (engines without threads have nothing to do)
-        """Use at most so many threads from the first rollout on: for processes that run side by side."""
+        """Use at most `number` threads from the first rollout on: for processes that run side by side."""
 
     def foreseeing(self, foresight: float) -> Dynamics:
         """The same system with another `foresight`, for engines that have one."""
@@ -183,10 +196,10 @@ class Dynamics(ABC):
 
     @abstractmethod
     def linearize(self, trajectory: Trajectory) -> Linearization:
-        """Jacobians of every step of `trajectory`."""
+        """Jacobians of every step of `trajectory`, and of its outputs. Raises ValueError where it diverged."""
 
     def linearize_slice(self, trajectory: Trajectory, first: int, last: int) -> Linearization:
-        """Jacobians of the steps first ... last - 1 of `trajectory`, and of the outputs at their knots.
+        """Jacobians of the steps `first` to `last` - 1 of `trajectory`, and of the outputs at their knots.
 
         The outputs at knot `last` are those of the horizon's end. Engines whose steps depend on time have their own.
         """
@@ -230,7 +243,7 @@ class Dynamics(ABC):
     def step_each(self, X: ArrayLike, U: ArrayLike) -> tuple[Array, Array]:
         """One step from each knot, the knots being independent of each other, as a state guess has them.
 
-        Takes states (N + 1, nx) and controls (N, nu); returns the states f_n(x_n, u_n) that follow (N, nx), NaN
+        Takes states `X` (N + 1, nx) and controls `U` (N, nu); returns the states f_n(x_n, u_n) that follow (N, nx), NaN
         where a step blows up, and the outputs (N + 1, ny).
         """
         states, controls = np.asarray(X, dtype=np.float64), np.asarray(U, dtype=np.float64)
@@ -242,7 +255,7 @@ class Dynamics(ABC):
         return F, Y
 
     def linearize_steps(self, X: Array, U: Array, F: Array) -> Linearization:
-        """Jacobians of steps that need not follow each other: from x_n under u_n to F_n, which is f_n(x_n, u_n).
+        """Jacobians of steps that need not follow each other: from `X` (N + 1, nx) under `U` (N, nu) to `F` (N, nx).
 
         For engines whose `linearize` reads of a knot only x_n and u_n; others have a way of their own.
         """
@@ -264,7 +277,8 @@ class Dynamics(ABC):
         """Second derivatives of sum_n lambda_{n+1}'f_n + w_n'y_n along `trajectory`, in tangent directions.
 
         `costates` (N + 1, ndx) are the lambda_n of `adjoint`, `weights` (N + 1, ny) the w_n, `ends` (N, nx) the
-        states at which the steps end where these are not the trajectory's next ones. Central differences of
+        states at which the steps end where these are not the trajectory's next ones, `linearization` the Jacobians
+        where they are at hand. Central differences of
         `linearize` along each tangent direction, all knots at once. Only their symmetric part is kept: on a manifold
         the rest is the turning of the tangent directions, not curvature.
         """
@@ -328,14 +342,14 @@ class Dynamics(ABC):
         return self.space.integrate(x, dx)
 
     def difference_jacobian(self, x: Array, y: Array) -> Array | None:
-        """Derivative of difference(x, y) by y, in tangent directions of y. Shape (..., ndx, ndx).
+        """Derivative of difference(`x`, `y`) by y, in tangent directions of y. Shape (..., ndx, ndx).
 
         None stands for the identity, which is what plain vectors have.
         """
         return self.space.difference_jacobian(x, y)
 
     def tangent_basis(self, x: Array) -> Array | None:
-        """Derivative of integrate(x, dx) by dx at zero. Shape (..., nx, ndx); None stands for the identity."""
+        """Derivative of integrate(`x`, dx) by dx at zero. Shape (..., nx, ndx); None stands for the identity."""
         return self.space.tangent_basis(x)
 
     def scene(self) -> Scene | None:
@@ -350,9 +364,9 @@ class Dynamics(ABC):
         return check_jacobians(self, trajectory)
 
     def fully_solved(self) -> Dynamics | None:
-        """Return the same system with equations that are solved iteratively solved to the last digit.
+        """Return the same system, its iterative solvers run until they converge.
 
-        None where it has none. `check_derivatives` asks for it where a derivative is off.
+        None where it has no such solver. `check_derivatives` asks for it where a derivative is off.
         """
         return None
 
@@ -365,7 +379,7 @@ class Dynamics(ABC):
         return [(f"{self.nx} states, {self.nu} controls", type(self).__name__)]
 
     def steps(self, N: int) -> Array:
-        """Step lengths for a horizon of N. Shape (N,). [s]  Raises ValueError when dt is of another length."""
+        """Step lengths for a horizon of `N`. Shape (N,). [s]  Raises ValueError when dt is of another length."""
         dt = np.asarray(self.dt, dtype=np.float64)
         if dt.ndim and dt.shape != (N,):
             raise ValueError(f"these dynamics have {len(dt)} steps of given length, but the horizon is {N}")
@@ -380,7 +394,7 @@ class Dynamics(ABC):
         return np.array(as_array("U", U, ("N", self.nu)))  # a copy: trajectories do not alias what they came from
 
     def check_trajectory(self, trajectory: Trajectory) -> None:
-        """Raise ValueError for a trajectory that diverged, or of another system."""
+        """Raise ValueError for a `trajectory` that diverged, or of another system."""
         if trajectory.diverged:
             raise ValueError(f"the trajectory diverged at knot {trajectory.diverged_at}; there is nothing to linearize")
         if trajectory.X.shape[1] != self.nx or trajectory.U.shape[1] != self.nu:

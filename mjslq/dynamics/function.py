@@ -102,6 +102,14 @@ class FunctionDynamics(Dynamics):
     ------
     ValueError
         When f does not return shape (nx,) at the origin, or an argument is out of place.
+
+    Examples
+    --------
+    >>> def pendulum(x, u):
+    ...     return np.array([x[1], u[0] - 9.81 * np.sin(x[0])])
+    >>> dynamics = mjslq.FunctionDynamics(pendulum, nx=2, nu=1, dt=0.02, state_names=("angle", "speed"))
+    >>> dynamics.rollout([0.1, 0.0], np.zeros((50, 1))).X.shape
+    (51, 2)
     """
 
     def __init__(

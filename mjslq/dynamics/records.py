@@ -24,7 +24,15 @@ def frame_sensor(frame: str, of: str) -> str:
 
 
 class Linearization(NamedTuple):
-    """Jacobians of the step and of the outputs along a trajectory, in tangent directions."""
+    """Jacobians of the step and of the outputs along a trajectory, in tangent directions.
+
+    Examples
+    --------
+    >>> system = mjslq.FunctionDynamics(lambda x, u: np.array([x[1], u[0]]), nx=2, nu=1, dt=0.1)
+    >>> A, B, C, D = system.linearize(system.rollout([0.0, 1.0], np.zeros((10, 1))))
+    >>> A[0].round(6).tolist()
+    [[1.0, 0.1], [0.0, 1.0]]
+    """
 
     A: Array
     """d x_{n+1} / d x_n. Shape (N, ndx, ndx)."""

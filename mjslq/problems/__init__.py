@@ -49,24 +49,98 @@ _CATALOGUE = {
 
 
 def names() -> list[str]:
-    """Names of the problems."""
+    """Names of the problems.
+
+    Returns
+    -------
+    list of str
+        In no particular order.
+
+    Examples
+    --------
+    >>> "hopper" in mjslq.problems.names()
+    True
+    """
     return list(_CATALOGUE)
 
 
 def summary(name: str) -> str:
-    """One line about a problem."""
+    """Say in one line what a problem is about.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+
+    Returns
+    -------
+    str
+        The line.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name.
+
+    Examples
+    --------
+    >>> mjslq.problems.summary("cart_pole_track")
+    'a pole on a cart swings up on a short track, the end met exactly'
+    """
     return _CATALOGUE[choose("problem", name, _CATALOGUE)]
 
 
 def parameters(name: str) -> dict[str, Any]:
-    """What can be set in a problem, with the defaults."""
+    """List what can be set in a problem.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+
+    Returns
+    -------
+    dict
+        Parameter -> default.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name.
+
+    Examples
+    --------
+    >>> mjslq.problems.parameters("hopper")["height"]
+    20.0
+    """
     return {p.name: p.default for p in inspect.signature(_maker(name)).parameters.values()}
 
 
 def get(name: str, **values: Any) -> Problem:
-    """Make a problem.
+    """Make a problem of the catalogue.
 
-    Raises ValueError for an unknown name or parameter, listing those there are, and for values out of range.
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+    **values
+        Parameters that differ from their defaults; `parameters` lists them.
+
+    Returns
+    -------
+    Problem
+        With its parameters on record.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name or parameter, listing those there are, and for values out of range.
+
+    Examples
+    --------
+    >>> problem = mjslq.problems.get("hopper", height=30.0)
+    >>> problem.horizon, problem.dynamics.nu
+    (100, 1)
     """
     known = parameters(name)
     for key in values:

@@ -82,6 +82,16 @@ def explain(result: Result, problem: Problem | None = None) -> Explanation:
     ------
     ValueError
         When the problem's sizes are not those of the result.
+
+    Examples
+    --------
+    >>> result = mjslq.solve(mjslq.problems.get("hopper"), max_iterations=3)
+    >>> page = mjslq.explain(result)
+    >>> [section.title for section in page.sections][:3]
+    ['ending', 'cost', 'gradient']
+    >>> print(page)
+    ending
+      max_iterations: The iterations ran out before the tolerance was met. ...
     """
     instance("result", result, Result, "a mjslq.Result")
     check = None if problem is None else _checked(result, instance("problem", problem, Problem, "a mjslq.Problem"))

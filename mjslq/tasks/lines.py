@@ -26,6 +26,7 @@ def lines_of(text: str) -> dict[Place, int]:
     depth = 0
     for number, line in enumerate(text.splitlines(), start=1):
         heading = _TABLE.match(line) if depth == 0 else None
+        heading = heading if heading and _PART.search(heading[2]) else None
         key = _KEY.match(line) if depth == 0 and not heading else None
         if heading:
             table = _opened(_parts(heading[2]), heading[1] == "[[", tables)
