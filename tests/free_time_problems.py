@@ -7,7 +7,8 @@ from mjslq import FunctionDynamics, MujocoDynamics, PinocchioDynamics, Problem, 
 from mjslq.constraints import Path, Sensor, State, Terminal
 
 POLE = """<mujoco><option timestep="0.008"/><worldbody><body name="pole">
-<joint name="hinge" axis="0 1 0" damping=".1"/><geom name="rod" type="capsule" fromto="0 0 0 0 0 -.5" size=".03" mass="1"/>
+<joint name="hinge" axis="0 1 0" damping=".1"/>
+<geom name="rod" type="capsule" fromto="0 0 0 0 0 -.5" size=".03" mass="1"/>
 <site name="tip" pos="0 0 -.5"/></body></worldbody><actuator><motor name="m" joint="hinge" ctrlrange="-2 2"
 ctrllimited="true"/></actuator><sensor><framepos name="tip" objtype="site" objname="tip"/>
 <accelerometer name="felt" site="tip"/></sensor></mujoco>"""
