@@ -304,7 +304,13 @@ def _difference(result: Result, problem: Problem, method: str, options: dict[str
         return f"{U.shape[0]} steps of {X.shape[1]} states and {U.shape[1]} controls"
     if not np.array_equal(result.lower, problem.box.lower) or not np.array_equal(result.upper, problem.box.upper):
         return "other limits of the controls"
-    again = problem.fixed(result.unknowns).rollout(U)
+    names = () if problem.unknowns is None else problem.unknowns.names
+    if tuple(result.unknowns) != names:
+        return f"unknowns {', '.join(result.unknowns) or 'none'}, not {', '.join(names) or 'none'}"
+    try:
+        again = problem.fixed(result.unknowns).rollout(U)
+    except ValueError as error:
+        return str(error)
     at = result.trajectory.diverged_at
     near = np.allclose(again.X[:at], X[:at], rtol=SAME, atol=SAME * max(1.0, float(np.nanmax(np.abs(X)))))
     if again.diverged_at != at or not near:

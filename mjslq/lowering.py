@@ -29,7 +29,6 @@ def lowered(result: Result, stated: Problem) -> Result:
         of_controls = result.multipliers["controls"]
         own: dict[str, Array] = {name: of_controls[0, nu + j : nu + j + 1] for j, name in enumerate(system.names)}
         multipliers = {"controls": of_controls[:, :nu]} | own | multipliers
-    engine, space = system.at(values), system.inner.space
     return dataclasses.replace(
         result,
         trajectory=system.stripped(at),
@@ -45,7 +44,7 @@ def lowered(result: Result, stated: Problem) -> Result:
             "controls": tuple(system.inner.control_names),
             "outputs": tuple(system.inner.output_names),
         },
-        space=space,
-        scene=engine.scene() if stated.drawing is None else stated.drawing,
+        space=system.inner.space,
+        scene=system.scene_at(values) if stated.drawing is None else stated.drawing,
         unknowns=dict(zip(system.names, map(float, values), strict=True)),
     )

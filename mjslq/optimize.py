@@ -283,7 +283,7 @@ def solve(
             return made
 
         unknowns, rest = stated.unknowns, (stopping, monitor, interrupts)
-        if unknowns is not None and unknowns.begins_held(stated, guess):
+        if unknowns is not None and method in ("auto", CONSTRAINED) and unknowns.begins_held(guess):
             outcome = descend_with_time_held_first(here, unknowns, make, start.multipliers, *rest)
         else:
             outcome = descend_with_foresight(here, make, *rest)

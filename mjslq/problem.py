@@ -252,7 +252,7 @@ class Problem:
         return moved
 
     def rollout(self, U: ArrayLike) -> Trajectory:
-        """Simulate from x0 under the controls `U` (N, nu)."""
+        """Simulate from x0 under the controls `U` (N, nu), by the system's own steps and parameters, free or not."""
         return self.dynamics.rollout(self.x0, self.checked_controls(U))
 
     def violation(self, trajectory: Trajectory) -> float:

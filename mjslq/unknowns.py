@@ -99,7 +99,7 @@ class Unknowns:
     def fixed(self, problem: Problem, values: Mapping[str, float]) -> Problem:
         """The problem with its unknowns at given values, by name. Raises ValueError."""
         for name in values:
-            choose("unknown", name, self.names)
+            choose("name of an unknown", name, self.names)
         start = self.start(problem.dynamics, problem.horizon)
         found = np.array([values.get(name, value) for name, value in zip(self.names, start, strict=True)], np.float64)
         for name, value, low, high in zip(self.names, found, self.lower, self.upper, strict=True):
@@ -165,9 +165,9 @@ class Unknowns:
         values = np.array([found.get(name, value) for name, value in zip(self.names, values, strict=True)])
         return np.clip(values, self.lower, self.upper)
 
-    def begins_held(self, problem: Problem, guess: Any) -> bool:
-        """Whether a search begins with the final time held: constraints have to be met, and no motion is given."""
-        return self.timed and bool(problem.bound_constraints) and guess_dt(guess) is None
+    def begins_held(self, guess: Any) -> bool:
+        """Whether a search begins with the final time held: where it is free, and no motion is given to start from."""
+        return self.timed and guess_dt(guess) is None
 
     def extended(
         self, problem: Problem, trajectory: Trajectory, values: Mapping[str, float] | None = None

@@ -178,6 +178,11 @@ class Augmented(Dynamics):
         """What the engine draws."""
         return self.inner.scene()
 
+    def scene_at(self, values: Array) -> Scene | None:
+        """What the engine draws under these values (np,)."""
+        with self._lock:
+            return self.at(values).scene()
+
     def support_report(self) -> list[tuple[str, str]]:
         """What the engine says, and how derivatives by the values are taken."""
         parts = self.inner.support_report()

@@ -119,6 +119,8 @@ def _checked(result: Result, problem: Problem) -> DerivativeCheck | None:
         return None
     if problem.unknowns is None:
         return problem.dynamics.check_derivatives(result.trajectory)
+    if tuple(result.unknowns) != problem.unknowns.names:
+        raise ValueError(f"the problem leaves {', '.join(problem.unknowns.names)} free, but the result was of another")
     lifted = problem.lifted.dynamics
     return lifted.check_derivatives(problem.unknowns.extended(problem, result.trajectory, result.unknowns))
 

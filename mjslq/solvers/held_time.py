@@ -1,9 +1,10 @@
-"""Descents with free final time and constraints: first with the time held, then free.
+"""Descents with free final time: first with the time held, then free.
 
 A shorter motion that misses its goal by more is often the nearest way down, and ends where it can no longer be told
-that there is a goal at all: at a stationary point of the violation. So the first descent is one of a fixed time, the
-start's, or, where the constraints cannot be met in that, `STRETCH` times as long, `TRIES` times at most. It is a start
-and no more: it ends loosely, and where the cost leaves controls free it has their effort in its cost besides,
+that there is a goal at all: at a stationary point of the violation, or of a cost that asks for the goal softly. So the
+first descent is one of a fixed time, the start's, or, where the constraints cannot be met in that, `STRETCH` times as
+long, `TRIES` times at most. It is a start and no more: it ends loosely, and where the cost leaves controls free it has
+their effort in its cost besides,
 
     1/2 sum_n h_n |u_n / limit|^2.
 
@@ -66,7 +67,7 @@ def descend_with_time_held_first(
             first.iterate = Iterate(start.problem, first.iterate.trajectory)
             first.remark = f"The final time was still held, at {time:.6g} s. {first.remark}"
             return first
-        if first.status is Status.CONVERGED:
+        if first.status is Status.CONVERGED or not problem.bound_constraints:
             here = Iterate(start.problem, first.iterate.trajectory)
             multipliers, remark = first.duals.multipliers, f"The final time was held for {monitor.steps} iterations."
             break
