@@ -103,12 +103,9 @@ def main(drive="servo", view=False):
             f"{mpc.spent:.1f} s; bodies {away.mean():.1f} mm from the clip's on average, {away.max():.0f} at most"
         )
     print(f"an iteration: {costs[0]:.1f} ms here, {costs[1]:.0f} ms with differences: {costs[1] / costs[0]:.1f} times")
-    whole = mjslq.problems.get("g1_clip", drive=drive, horizon=loops[0].horizon)
-    result = mjslq.solve(whole, guess=loops[0], max_iterations=20)
-    print(f"the whole clip in one plan, from there: {whole.describe(result.trajectory)['bodies']}")
     if view:
-        mjslq.view(result)
-    return result
+        whole = mjslq.problems.get("g1_clip", drive=drive, horizon=loops[0].horizon)
+        mjslq.view(mjslq.solve(whole, guess=loops[0], max_iterations=1))
 
 
 if __name__ == "__main__":

@@ -196,6 +196,21 @@ def test_a_clip_is_followed_from_a_file_in_ten_lines(robot, motion, tmp_path):
     assert np.abs(by_controls.trajectory.U - motion.U).max() < 0.05
 
 
+def test_poses_alone_are_followed_with_velocities_by_differences(robot, motion):
+    """This robot turns fast, so that differences over two steps are not its velocities: the hand is near, no more."""
+    recorded = Clip.record(motion, robot, FRAMES)
+    poses = {name: {of: f[of] for of in OF[:2]} for name, f in recorded.frames.items()}
+    clip = dataclasses.replace(recorded, frames=poses)
+    engine = mjslq.MujocoDynamics.from_xml(ROBOT, substeps=2, frames=clip.frames)  # sensors of velocities, too
+    terms = clip.costs(engine)
+    assert [term.of for term in terms] == [of for of in OF for _ in FRAMES]
+    problem = mjslq.Problem(engine, N, motion.X[0], [costs.Control(1e-6), *terms])
+    result = mjslq.solve(problem, X0=clip.guess(problem), max_iterations=30)
+    tip = engine.outputs["tip.position"].columns
+    away = np.linalg.norm(result.trajectory.Y[:, tip] - recorded.frames["tip"]["position"], axis=1)
+    assert away.max() < 0.03 and problem.cost(motion) > 1e-3
+
+
 def test_states_take_velocities_from_positions_where_none_are_recorded(robot, motion):
     clip = dataclasses.replace(Clip.record(motion, robot), qvel={})
     X = clip.states(robot, motion.times)

@@ -23,7 +23,7 @@ _CATALOGUE = {
     "g1_reach": "the humanoid G1 reaches for a point, standing on both feet",
     "solo12_jump": "the quadruped Solo12 jumps and stands again",
     "g1_push": "the humanoid G1 is pushed and recovers its stance",
-    "g1_clip": "the humanoid G1 tracks a recorded motion, a squat with waving arms",
+    "g1_clip": "the humanoid G1 tracks a recorded motion: a squat, a wave, a step",
     "hopper": "a gas-actuated hopping machine that reaches a height (Sideris and Bobrow 2005, section 4.2)",
     "van_der_pol": "a Van der Pol oscillator brought to rest (Fukushima and Yamamoto 1986, section IV)",
     "cart_pole": "a pole on a cart swings up, the force limited",

@@ -90,8 +90,9 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
 
     frames
         Sites, bodies, geoms or cameras to add sensors for, which `costs.Frame` and `constraints.Frame` find: a list of
-        names for position, orientation and both velocities of each, or a mapping from names to some of these
-        ("position", "orientation", "linear-velocity", "angular-velocity"). Models need no sensors of their own.
+        names, or the `frames` of a `mjslq.Clip`, for position, orientation and both velocities of each, or a mapping
+        from names to some of these ("position", "orientation", "linear-velocity", "angular-velocity"). Models need no
+        sensors of their own.
 
     They raise ValueError when the model cannot be read, or is not supported.
     """

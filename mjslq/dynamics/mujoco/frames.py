@@ -17,8 +17,8 @@ import numpy as np
 from mjslq.dynamics.records import QUANTITIES, frame_sensor
 from mjslq.validation import Array, choose
 
-Wanted = Iterable[str] | Mapping[str, Sequence[str]] | None
-"""Frames to add sensors for: names, all four quantities of each, or quantities by name."""
+Wanted = Iterable[str] | Mapping[str, Sequence[str]] | Mapping[str, Mapping[str, Any]] | None
+"""Frames to add sensors for: names, or a clip's frames, all four quantities of each; or quantities by name."""
 _SENSORS = {
     "position": mujoco.mjtSensor.mjSENS_FRAMEPOS,
     "orientation": mujoco.mjtSensor.mjSENS_FRAMEQUAT,
@@ -38,6 +38,8 @@ def add_frames(spec: mujoco.MjSpec, wanted: Wanted) -> None:
         raise ValueError(f"frames must be a list of names, got the text {wanted!r}; write [{wanted!r}]")
     for frame in wanted:
         of = wanted[frame] if isinstance(wanted, Mapping) else QUANTITIES
+        if isinstance(of, Mapping):  # of a clip, which has velocities whether or not they were recorded
+            of = QUANTITIES
         for quantity in [of] if isinstance(of, str) else of:
             add_frame_sensor(spec, frame, choose(f"quantity of frame {frame!r}", quantity, QUANTITIES))
 
