@@ -166,8 +166,8 @@ class Unknowns:
         return np.clip(values, self.lower, self.upper)
 
     def begins_held(self, guess: Any) -> bool:
-        """Whether a search begins with the final time held: where it is free, and no motion is given to start from."""
-        return self.timed and guess_dt(guess) is None
+        """Whether a search begins with the final time held: where it is free, and no result is given to start from."""
+        return self.timed and bool(self.lower[0] < self.upper[0]) and not hasattr(guess, "multipliers")
 
     def extended(
         self, problem: Problem, trajectory: Trajectory, values: Mapping[str, float] | None = None

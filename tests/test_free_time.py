@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 import mjslq
 from mjslq import FunctionDynamics, Problem, constraints, costs, problems, solve
 from mjslq.problems.cart_pole_time import OPTIMAL_TIME
+from mjslq.reports.compare import compare
 
 
 def accelerated(x, u):
@@ -93,6 +94,11 @@ def test_all_that_take_free_time_find_the_same():
             solve(mass(), name)
 
 
+def test_methods_are_compared_as_far_as_they_take_it():
+    problem = problems.get("double_integrator_time", horizon=10)
+    assert [entry.method for entry in compare(problem, max_iterations=3)] == ["constrained"]
+
+
 def test_a_stationary_time_is_one():
     """The cost of the best motions with times near by is higher, by as much as quadratics are."""
     result = solve(mass())
@@ -122,6 +128,13 @@ def test_running_terms_grow_with_the_steps_and_sums_do_not():
         X, U = np.ones((21, 2)), np.ones((20, 1))
         short, long = (alone.cost(mjslq.Trajectory(X, U, np.zeros((21, 1)), T / 20)) for T in times)
         assert short > 0.0 and long / short == pytest.approx(4.0 if type(term).__name__ in ("Control", "Time") else 1.0)
+
+
+def test_a_time_that_is_too_short_is_infeasible():
+    dynamics = problems.get("double_integrator_time", horizon=10, duration=1.0).dynamics
+    held = [constraints.State([1.0, 0.0], [1.0, 0.0], "terminal")]
+    result = solve(Problem(dynamics, 10, [0.0, 0.0], [costs.Time()], constraints=held, free_time=(0.5, 1.5)))
+    assert result.status is mjslq.Status.INFEASIBLE and result.final_time == 1.5
 
 
 def test_functions_see_the_times_of_the_knots():
@@ -217,6 +230,30 @@ def test_the_first_state_may_be_free_as_well():
     assert np.allclose(result.trajectory.X[-1], goal, atol=1e-6)
 
 
+def test_a_held_time_is_not_in_the_way_of_other_endings():
+    problem = problems.get("double_integrator_time", horizon=10)
+    stopped = solve(problem, callback=lambda entry: entry.iteration >= 3)
+    assert stopped.status is mjslq.Status.STOPPED and "still held, at 3 s" in stopped.message
+    short = solve(problem, max_iterations=4)
+    assert (
+        short.status is mjslq.Status.MAX_ITERATIONS and short.iterations == 4 and short.final_time == pytest.approx(3)
+    )
+    wild = FunctionDynamics(lambda x, u: 50.0 * x**3 + u, 1, 1, 0.1)
+    blown = solve(Problem(wild, 20, [2.0], [costs.Control(1.0), costs.Time()], free_time=(0.1, 3.0)))
+    assert blown.status is mjslq.Status.DIVERGED and "The start blew up at step 1" in blown.message
+
+    def broken(x, u, t):
+        broken.calls += 1
+        if broken.calls > 300:
+            raise RuntimeError("boom")
+        return x[0] - 2.0
+
+    broken.calls = 0
+    terms = [costs.Control(1.0), costs.Residual(broken), costs.Time()]
+    failed = solve(Problem(mass().dynamics, 20, [0.0, 0.0], terms, free_time=(0.1, 3.0)))
+    assert failed.status is mjslq.Status.FAILED and "RuntimeError: boom" in failed.message
+
+
 @pytest.mark.parametrize(
     "make, sentence",
     [
@@ -261,6 +298,7 @@ def test_an_engine_without_says_so():
 
 def test_the_summary_tells_the_time(capsys):
     from mjslq.reports.tables import as_dict, print_summary
+    from mjslq.viewer import panels
 
     problem = problems.get("double_integrator_time", horizon=10)
     result = solve(problem)
@@ -268,5 +306,6 @@ def test_the_summary_tells_the_time(capsys):
     told = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["final", "time", f"{result.final_time:.8g}", "s"] in told
     assert as_dict(result)["unknowns"] == result.unknowns
+    assert "final time" in dict(panels.facts(result))
     assert "The final time was held for" in result.message
     assert "derivatives" in {section.title for section in mjslq.explain(result, problem).sections}

@@ -41,6 +41,7 @@ def compare(problem: Problem, methods: Sequence[str] = (), **options: Any) -> It
         if (entry.takes_constraints is constrained or entry.takes_both)
         and (entry.takes_equalities or not equalities)
         and (entry.takes_free_start or problem.free_start is None)
+        and (entry.takes_unknowns or problem.unknowns is None)
     ]
     for method in [choose("method", ALIASES.get(method, method), METHODS) for method in methods or made_for_it]:
         solve(problem, method, **(options | {"max_iterations": 1}))  # so that no method pays for another's compiling

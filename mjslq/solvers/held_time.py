@@ -19,13 +19,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from mjslq.bound_costs import ResidualCost
+from mjslq.bound_costs import BoundTerm, ResidualCost
 from mjslq.knots import knots_of
 from mjslq.losses import bind_loss
 from mjslq.options import Stopping
 from mjslq.problem import Problem
 from mjslq.residuals import bind_control
-from mjslq.solvers.foresight import ENDED, descend_with_foresight
+from mjslq.solvers.foresight import descend_with_foresight
 from mjslq.solvers.interrupts import Interrupts
 from mjslq.solvers.iterate import Iterate
 from mjslq.solvers.loop import Outcome, descend
@@ -42,6 +42,9 @@ LOOSE, MOST = 1e-3, 150
 FREE = 1e-9
 """Curvature of the cost by a control below which it is left free, relative to the largest, or to 1."""
 
+OVER = (Status.INTERRUPTED, Status.STOPPED, Status.OUT_OF_TIME, Status.FAILED)
+"""Endings of a descent with held time after which there is no other."""
+
 Make = Callable[[Mapping[str, Array]], Method]
 
 
@@ -57,22 +60,28 @@ def descend_with_time_held_first(
     """Descend from `start` in two parts; see the head of this file."""
     size, multipliers, remark = len(unknowns.names), given, ""
     time, here = float(start.trajectory.U[0, -size]), start
+    try:
+        effort = _effort(start, size)
+    except Exception:  # whatever keeps the start from being differentiated: the descent will tell
+        return descend_with_foresight(start, lambda: make(given), stopping, monitor, interrupts)
     for _ in range(TRIES):
-        problem = _with_effort(unknowns.held(start.problem, time), start, size)
+        problem = unknowns.held(start.problem, time).with_terms(effort)
         loose = dataclasses.replace(
             stopping, tol_direction=max(LOOSE, stopping.tol_direction), max_iterations=_left(stopping, monitor, MOST)
         )
         first = descend(_at(problem, start, size, time), make(given), loose, monitor, interrupts)
-        if first.status not in (*ENDED, Status.MAX_ITERATIONS) or not _left(stopping, monitor, 1):
-            first.iterate = Iterate(start.problem, first.iterate.trajectory)
+        if first.status in OVER or (first.status is Status.MAX_ITERATIONS and not _left(stopping, monitor, 1)):
+            if first.status is not Status.FAILED:
+                first.iterate = Iterate(start.problem, first.iterate.trajectory)
             first.remark = f"The final time was still held, at {time:.6g} s. {first.remark}"
             return first
-        if first.status is Status.CONVERGED or not problem.bound_constraints:
+        met = first.status is not Status.DIVERGED and not problem.bound_constraints
+        if first.status is Status.CONVERGED or met:
             here = Iterate(start.problem, first.iterate.trajectory)
             multipliers, remark = first.duals.multipliers, f"The final time was held for {monitor.steps} iterations."
             break
         longer = min(STRETCH * time, float(unknowns.upper[0]))
-        if longer == time:
+        if longer == time or first.status is Status.DIVERGED:
             break
         time = longer
     left = dataclasses.replace(stopping, max_iterations=_left(stopping, monitor, stopping.max_iterations))
@@ -92,19 +101,18 @@ def _at(problem: Problem, start: Iterate, size: int, time: float) -> Iterate:
     return Iterate(problem, problem.dynamics.rollouts(start.trajectory.X[:1], U[None])[0])
 
 
-def _with_effort(problem: Problem, start: Iterate, size: int) -> Problem:
-    """The problem with the effort of controls in its cost that the cost leaves free."""
-    dynamics = problem.dynamics
+def _effort(start: Iterate, size: int) -> list[BoundTerm]:
+    """The effort of controls that the cost leaves free, as a term of the cost; none where it leaves none free."""
+    dynamics = start.problem.dynamics
     curvature = np.abs(np.einsum("nii->ni", start.expansion.R)).max(axis=0)[:-size]
     free = curvature <= FREE * max(1.0, float(curvature.max(initial=0.0)))
     if not free.any():
-        return problem
-    limits = np.minimum(*np.abs(problem.box)[:, :, :-size]).min(axis=0)
+        return []
+    limits = np.minimum(*np.abs(start.problem.box)[:, :, :-size]).min(axis=0)
     limits = np.where(np.isfinite(limits) & (limits > 0.0), limits, 1.0)
     W = np.zeros((1, dynamics.nu, dynamics.nu))
     at = np.flatnonzero(free)
     W[0, at, at] = 1.0 / limits[at] ** 2
     steps = np.asarray(start.trajectory.dt)
-    knots = knots_of("running", steps)
-    effort = ResidualCost(bind_control(dynamics, 0.0, knots), bind_loss("quadratic", None, W, steps), "effort")
-    return problem.with_terms([effort])
+    residual, loss = bind_control(dynamics, 0.0, knots_of("running", steps)), bind_loss("quadratic", None, W, steps)
+    return [ResidualCost(residual, loss, "effort")]

@@ -5,7 +5,8 @@ A parameter is a quantity of the model, "kind/name/field" or "kind/name/field/in
 a function set(model, value) that writes what belongs together, and the value that the model has as it is.
 
 Other parameters make another model: a copy of the given one, on which `set` is called and whose constants MuJoCo
-computes anew (mj_setConst). Another step length is written into the engine's own copy.
+computes anew (mj_setConst). Another step length is written into the engine's own copy. It changes the model where
+MuJoCo's own rules do: contacts and limits have no time constant below two steps.
 """
 
 from __future__ import annotations
