@@ -36,7 +36,7 @@ def arm(player):
 
 
 def quadruped(player):
-    player.set_ghosts("along", 3)
+    player.set_ghosts("along", 2)
     player.seek(1.0)
 
 
