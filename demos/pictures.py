@@ -18,7 +18,7 @@ from mjslq.viewer import Player
 FLAGS = "--no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking --disable-sync"
 WINDOW, WIDTH = {"width": 1440, "height": 900}, 1200
 """Of the browser, and of what is kept of it. [px]"""
-DRAWN = 7000  # software rendering draws a few frames a second [ms]
+PAUSE, MOST = 3000, 40  # software rendering draws a few frames a second, or a few a minute [ms, looks]
 
 
 CLOSE = "document.querySelectorAll('.mantine-Notification-closeButton').forEach((button) => button.click())"
@@ -36,8 +36,8 @@ def arm(player):
 
 
 def quadruped(player):
-    player.set_ghosts("along", 4)
-    player.seek(0.55)
+    player.set_ghosts("along", 2)
+    player.seek(1.0)
 
 
 def comparison(player):
@@ -48,7 +48,7 @@ def problems():
     """The results of each picture, the one shown first."""
     yield hopper, [mjslq.solve(mjslq.problems.get("hopper", height=30.0))]
     yield arm, [mjslq.solve(mjslq.problems.get("panda_obstacle"))]
-    yield quadruped, [mjslq.solve(mjslq.problems.get("solo12_jump"))]
+    yield quadruped, [mjslq.solve(mjslq.problems.get("solo12_stand"))]
     problem = mjslq.problems.get("double_pendulum")
     found = [mjslq.solve(problem, method) for method in ("auto", "slq", "newton", "pronto")]
     yield comparison, sorted(found, key=lambda result: result.cost)
@@ -64,10 +64,13 @@ def take(browser, prepare, results, dark):
         page.goto(player.url)
         page.wait_for_selector("canvas")
         prepare(player)
-        page.wait_for_timeout(DRAWN)
-        page.evaluate(CLOSE)
-        page.wait_for_timeout(1000)
-        picture = page.screenshot()
+        picture, before = b"", b"-"
+        for _ in range(MOST):  # until nothing moves any more
+            if picture == before:
+                break
+            page.wait_for_timeout(PAUSE)
+            page.evaluate(CLOSE)
+            picture, before = page.screenshot(), picture
         page.close()
     return picture
 

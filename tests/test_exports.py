@@ -152,6 +152,17 @@ def test_picture_of_a_moment_and_of_several(arm, tmp_path, opengl_here):
     assert (pictures["side"] != pictures["many"]).any()
 
 
+def test_collision_shapes_are_drawn_where_there_is_nothing_else(tmp_path, opengl_here):
+    found = {}
+    for group in (0, 3):
+        dynamics = mjslq.MujocoDynamics.from_xml(ARM.replace("<geom ", f'<geom group="{group}" '))
+        problem = mjslq.Problem(dynamics, 5, dynamics.initial_state, [mjslq.costs.Control(1.0)])
+        mjslq.export(mjslq.solve(problem), tmp_path / "arm.png", size=(160, 120), at=0.0)
+        with Image.open(tmp_path / "arm.png") as picture:
+            found[group] = np.asarray(picture)
+    assert orange(found[3]) > 100 and np.array_equal(found[0], found[3])
+
+
 def test_gif_has_a_picture_each_step(arm, tmp_path, opengl_here):
     shares = []
     mjslq.export(arm, tmp_path / "arm.gif", size=(160, 120), fps=10, progress=shares.append)

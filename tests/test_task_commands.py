@@ -15,6 +15,7 @@ def test_new_solve_check_and_schema(tmp_path):
     shutil.copy(ASSETS / "double_pendulum.xml", tmp_path)
     written = run("new", "double_pendulum.xml", cwd=tmp_path)
     assert written.returncode == 0, written.stderr
+    assert "mjslq solve double_pendulum.toml --save double_pendulum.npz --view" in written.stderr
     text = (tmp_path / "double_pendulum.toml").read_text()
     assert 'model = "double_pendulum.xml"' in text
     outcome = run("solve", "double_pendulum.toml", "--save", "r.npz", "--json", cwd=tmp_path)
@@ -39,3 +40,4 @@ def test_wrong_uses_end_in_one_sentence(tmp_path, monkeypatch):
     assert "unknown option 'heigth'" in refused("solve", task, "--set", "heigth=3")
     assert "unknown method 'sql'" in refused("solve", task, "-m", "sql")
     assert "`mjslq new" in refused("solve", str(ASSETS / "acrobot.xml"))
+    assert "'go2' is a robot" in refused("solve", "go2")

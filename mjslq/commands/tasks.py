@@ -31,10 +31,22 @@ def posed(what: str, method: str | None, settings: list[str]) -> tuple[Any, str,
             choose("option", name, known)
         return task.problem, method or task.method, {"guess": task.guess} | task.options | asked
     refuse_model(what)
+    if what not in problems.names():
+        _refuse_robot(what)
     choose("problem", what, problems.names())
     method = method or default_method()
     parameters, options = sort_settings(settings, what, settable(method))
     return problems.get(what, **parameters), method, options
+
+
+def _refuse_robot(what: str) -> None:
+    """Refuse a robot's name where a problem is wanted, and say what makes one of it."""
+    from mjslq.robots import robot_names
+
+    if what in robot_names():
+        raise ValueError(
+            f"{what!r} is a robot, and a problem has a cost besides: `mjslq new {what}` writes a task for it"
+        )
 
 
 def new(
@@ -62,7 +74,9 @@ def new(
     text = text_for(model, folder)
     with atomic_write(file) as stream:
         stream.write(text.encode())
-    print(f"{file}: written; solve it with `mjslq solve {file}`", file=sys.stderr)
+    result = file.with_suffix(".npz").name
+    print(f"{file}: written; solve it and look at it with", file=sys.stderr)
+    print(f"    mjslq solve {file} --save {result} --view", file=sys.stderr)
 
 
 def schema() -> None:

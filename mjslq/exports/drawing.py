@@ -18,9 +18,8 @@ from mjslq.exports.motion import Motion
 from mjslq.exports.opengl import open_context
 from mjslq.validation import Array, choose
 from mjslq.viewer import camera
+from mjslq.viewer.geometry import visible_geoms
 
-SHOWN_GROUPS = (0, 1, 2)
-"""Groups of geoms that are drawn, as in MuJoCo's viewer; collision shapes are above them."""
 _UNSET = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's own colour: nobody chose one
 _MOVING, _FIXED, _FLOOR = (0.36, 0.50, 0.68, 1.0), (0.62, 0.65, 0.69, 1.0), (0.80, 0.83, 0.87, 1.0)
 _BACKGROUND, _NET = (0.955, 0.963, 0.975), (0.80, 0.83, 0.87)
@@ -51,6 +50,7 @@ class Drawing:
         self._low, self._centre = low, 0.5 * (low + high)
         _prepare(model, width, height, self._extent_of_motion)
         self._option = mujoco.MjvOption()
+        self._option.geomgroup[model.geom_group[visible_geoms(model)]] = 1  # all where none is in the usual ones
         self._scene = mujoco.MjvScene(model, (ghosts + 1) * (model.ngeom + model.nsite + model.ntendon) + _ROOM)
         self._context, self._rendering = open_context(model, width, height)
 
@@ -109,11 +109,7 @@ class Drawing:
     def _extent(self, motion: Motion) -> tuple[Array, Array]:
         """Corners (3,) and (3,) [m] of the box that holds all that moves, over the whole motion."""
         model, data = self._model, self._data
-        drawn = [
-            i
-            for i in range(model.ngeom)
-            if model.geom_group[i] in SHOWN_GROUPS and model.geom_type[i] != mujoco.mjtGeom.mjGEOM_PLANE
-        ]
+        drawn = [i for i in visible_geoms(model) if model.geom_type[i] != mujoco.mjtGeom.mjGEOM_PLANE]
         moving = [i for i in drawn if model.body_weldid[model.geom_bodyid[i]] != 0]
         geoms = moving or drawn
         if not geoms:
