@@ -1,4 +1,4 @@
-"""`python -m mjslq`, and the program `mjslq`: the command line, where Ctrl-C ends even what is still being imported."""
+"""The program `mjslq`, also as `python -m mjslq`; Ctrl-C ends it during its imports, too."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`solve_many`: many problems on an executor, each on its own: whatever one does, the others are solved.
+"""`solve_many`: many problems on an executor; an error in one of them does not affect the others.
 
     problems --(at most `in_flight` at a time)--> executor --> Solved, one by one --> files in `out`
 
@@ -47,7 +47,7 @@ SAME = 1e-6
 
 @dataclass(frozen=True)
 class Solved:
-    """What came of one problem."""
+    """Outcome of one problem of `solve_many`."""
 
     index: int
     """Its place among the problems."""
@@ -259,7 +259,7 @@ class _Batch:
 
 
 def solve_one(problem: Problem, method: str, options: dict[str, Any]) -> Result:
-    """Solve a problem; what an executor runs."""
+    """Solve one problem, in a worker of the executor."""
     from mjslq.optimize import solve
 
     return solve(problem, method, **options)

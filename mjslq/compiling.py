@@ -1,4 +1,4 @@
-"""Compilation of kernels, which takes some seconds the first time and none after: a word on the screen, and a clock.
+"""Compilation of kernels, which takes some seconds the first time: announced once, and timed.
 
 Kernels are made by `mjslq.native`, which tells of it by `compilation`. What users write is compiled by numba, which has
 events of its own; they are listened to as soon as numba is there.

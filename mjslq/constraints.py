@@ -43,7 +43,7 @@ RESERVED = "controls"
 
 @dataclass(frozen=True, kw_only=True)
 class Constraint(ABC):
-    """What a user writes down."""
+    """A constraint as a user states it; `bind` fits it to a system and a horizon."""
 
     name: str | None = None
     """What messages and results call it; the kind unless given, such as "path", or the sensor's name; numbered from

@@ -1,4 +1,4 @@
-"""`Contact`: how hard bodies touch in a MuJoCo model, on record, so that results say what they were found with.
+"""`Contact`: stiffness and damping of the contacts of a MuJoCo model, recorded with each result.
 
     model     as the model has it
     smooth    a contact that gives way gently, over `width`: hardly a force at first touch, more with depth; searches
@@ -28,7 +28,7 @@ _DEFAULTS: dict[str, tuple[float, float, float, float]] = {
 
 @dataclass(frozen=True)
 class Contact:
-    """Parameters of all contacts of a model; those that are not given are the kind's.
+    """Contact parameters of a MuJoCo model; those that are not given are the defaults of the kind.
 
     Raises ValueError for an unknown kind, parameters of "model", which has its own, and values out of range.
 
@@ -110,7 +110,7 @@ class Contact:
 
 
 class Replay(NamedTuple):
-    """What a model with other contacts does under the controls of a result."""
+    """A result's controls, simulated with other contact parameters."""
 
     trajectory: Trajectory
     """Simulated anew."""

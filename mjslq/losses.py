@@ -1,4 +1,4 @@
-"""Losses: what a residual costs.
+"""Losses: functions that turn a residual into a cost.
 
 Notation
 --------

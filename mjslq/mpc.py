@@ -57,7 +57,7 @@ RECENT = 1000
 
 @dataclass
 class Statistics:
-    """How long plans took, and how they ended; of a size that does not grow."""
+    """Times and endings of the plans so far; takes a fixed amount of memory."""
 
     deadline: float
     """Time within which a plan has to be ready. [s]"""
@@ -316,7 +316,7 @@ class MPC:
 
 
 def moved(plan: Result, elapsed: float) -> Result:
-    """The same plan on a horizon that begins `elapsed` [s] later, as a start; its last step and state are repeated.
+    """Shift a plan by `elapsed` [s], as a start for the next one; its last step and state are repeated.
 
     Between knots, states lie on the way from one to the next, controls and gains are the means of the two steps that
     a new one overlaps. Multipliers move along where they belong to every step or knot.

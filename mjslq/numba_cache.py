@@ -1,4 +1,4 @@
-"""A folder for numba's machine code, where neither mjslq's own nor the user's can be written to.
+"""A folder for numba's compiled code, where numba can write to neither of its usual ones.
 
 numba keeps what it compiles beside the source, or in the user's folder for caches, and refuses to compile where it
 can write to neither: in a container without a home, say, from an installation that is read-only. It gets a folder for

@@ -1,4 +1,4 @@
-"""`solve`: one front for all methods, and the table of what they are."""
+"""`solve`, the entry point of all methods, and the table of methods."""
 
 from __future__ import annotations
 
@@ -300,7 +300,7 @@ def option_names(method: str) -> list[str]:
 
 
 def settable(method: str) -> list[str]:
-    """Names of all options that `solve` may take: for "auto" also those of what it stands for with constraints."""
+    """Names of all options that `solve` may take; for "auto" also those of "constrained", which it may choose."""
     routed = option_names(CONSTRAINED) if method == "auto" else []
     return list(dict.fromkeys([*option_names(method), *routed]))
 

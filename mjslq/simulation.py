@@ -68,7 +68,7 @@ Disturbance = Push | Kick
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """What a plant did under a controller.
+    """Motion of a plant under a controller, and the controller's statistics.
 
     Examples
     --------
@@ -86,7 +86,7 @@ class ClosedLoop:
 
 
 class Plant(Protocol):
-    """What is controlled: it has a state, and goes ahead by a timestep."""
+    """Interface of a simulated plant: a state, and `advance`, which takes one timestep."""
 
     timestep: float
     """[s]"""

@@ -1,4 +1,4 @@
-"""Where a search starts: what a user hands in as a guess, and starts made from the problem itself.
+"""Starts of a search: guesses that a user gives, and starts made from the problem itself.
 
     hold     u_n = u_hold: the controls under which the initial state changes least over a step
     servo    u(x) = [ u_hold - K (x - x_target) ]: a computed-torque servo, which pulls the robot towards a state;
@@ -138,7 +138,7 @@ def servo(
 
 
 def read(problem: Problem, guess: Any, U0: ArrayLike | None, X0: ArrayLike | None) -> Start:
-    """What `solve` was given to start from.
+    """Read the guess that `solve` was given.
 
     `guess` is a Result (its policy is followed), a Trajectory (its controls), a Policy, controls (N, nu) or (nu,), or
     states (N + 1, nx), which need not obey the dynamics; U0 and X0 name the last two.

@@ -1,4 +1,4 @@
-"""What a file of a result may hold: kinds of values, and shapes that belong together.
+"""Checks of what was read from the file of a result: kinds of values, and shapes that belong together.
 
 A file that can be read may still be damaged, or made by hand. What is wrong is said in one sentence when it is loaded,
 and not met later in a viewer.

@@ -1,4 +1,4 @@
-"""`Trajectory`: what a rollout returns and every method passes on.
+"""`Trajectory`: states, controls and outputs over a horizon, with their step lengths.
 
 Notation
 --------

@@ -1,4 +1,4 @@
-"""A user's function of (x, u, t) at many knots, with its derivatives: the one place where they are taken.
+"""A user's function of (x, u, t) at many knots, and its derivatives.
 
 Notation
 --------

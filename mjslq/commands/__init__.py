@@ -1,1 +1,1 @@
-"""Commands of `mjslq` with much to them, a file for each group; `mjslq.cli` has the others and the program."""
+"""The larger commands of `mjslq`, a file for each group; the others are in `mjslq.cli`."""

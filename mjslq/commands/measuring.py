@@ -1,4 +1,4 @@
-"""`mjslq check | reproduce | bench`: what is right, what the papers say, and what it costs."""
+"""The commands `check`, `reproduce` and `bench`: derivative checks, the papers' numbers, timings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def check(
     steps: Annotated[int, typer.Option(help="Length of the motion along which derivatives are checked.")] = 20,
     seed: Annotated[int, typer.Option(help="Of the random controls that make the motion.")] = 0,
 ) -> None:
-    """Say what serves a model, and compare its derivatives with a fine reference along a random motion."""
+    """Report what serves each part of a model; compare its derivatives with a fine reference along a random motion."""
     announce(quiet=False)
     from mjslq.reports.tables import console, table
     from mjslq.validation import count
@@ -91,7 +91,7 @@ def bench(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Measure what an iteration costs here, phase by phase, beside the engine's own calls."""
+    """Time an iteration, phase by phase, and compare it with the engine's own calls."""
     announce(quiet=False)
     from mjslq.reports import bench, tables
     from mjslq.validation import choose

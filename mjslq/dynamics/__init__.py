@@ -1,4 +1,4 @@
-"""Engines: what turns a state and a control into the next state, over whole horizons at once."""
+"""Engines: discrete-time systems that are simulated and linearized over whole horizons."""
 
 from mjslq.dynamics.dynamics import Dynamics as Dynamics
 from mjslq.dynamics.dynamics import Linearization as Linearization

@@ -1,4 +1,4 @@
-"""The `Dynamics` base class: what every engine offers, and what the solvers are written against.
+"""`Dynamics`: the base class of engines, and the interface that the solvers use.
 
 Notation
 --------

@@ -177,7 +177,7 @@ def checked_jacobian(parts: Any, nx: int, nu: int) -> tuple[Any, Any]:
 
 
 def tried(name: str, f: Callable[..., Any], nx: int, nu: int, parameters: Array) -> Any:
-    """What f(x, u, t, p) returns at the origin, where it cannot write into x and u. Raises ValueError if it fails."""
+    """Call f(x, u, t, p) at the origin with arrays that it cannot write into. Raises ValueError if it fails."""
     try:
         with np.errstate(all="ignore"):
             return plain(f)(frozen(np.zeros(nx)), frozen(np.zeros(nu)), 0.0, parameters)

@@ -157,7 +157,7 @@ def phases(X: np.ndarray) -> list[str]:
 
 
 def describe(trajectory: Trajectory, height: float) -> dict[str, str]:
-    """What the hop amounts to."""
+    """Summary of a hop: the height reached, phases of stance and flight, stroke and flow."""
     y, speed = trajectory.X[-1, 0], trajectory.X[-1, 2]
     return {
         "height": f"{y:.3f} in of {height:g} in ({100.0 * (y / height - 1.0):+.2f} %), speed {speed:+.2f} in/s",

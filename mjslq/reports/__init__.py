@@ -1,1 +1,1 @@
-"""What is told about results: tables, benchmarks, comparisons, the papers' numbers beside ours."""
+"""Reports on results: tables, benchmarks, comparisons, the papers' numbers beside ours."""

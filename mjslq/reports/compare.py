@@ -17,7 +17,7 @@ from mjslq.validation import choose
 
 @dataclass(frozen=True)
 class Entry:
-    """What a method made of the problem."""
+    """Result of one method, and what it took."""
 
     method: str
     result: Result

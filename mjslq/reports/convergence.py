@@ -1,4 +1,4 @@
-"""How costs fell: the curves that `compare`, `reproduce` and the viewer draw of logs.
+"""Convergence curves of logs, as `compare`, `reproduce` and the viewer draw them.
 
 (J_k - J_best) / |J_best|,     J_best the least cost of all the logs, or the optimum where it is known
 """

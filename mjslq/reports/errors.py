@@ -1,4 +1,4 @@
-"""How far sensors are from what the cost wants of them, in their own units: what a summary says of a task.
+"""Distances of sensors from the targets of the cost, in the sensors' units, for summaries.
 
 A term that acts at one knot is told by the distance there; one that acts along the way by its largest distance and the
 one at its last knot. Quaternions count by the angle between them and the target. Many frames, such as those of a clip,

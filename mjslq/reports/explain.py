@@ -1,4 +1,4 @@
-"""Why a solve ended as it did, on a page: what it is made of, what holds it, and what to try next.
+"""A page on why a solve ended as it did: cost terms, limits in force, contacts, progress, and advice.
 
 cost          share of each term
 gradient      where it is left, by control and time

@@ -1,4 +1,4 @@
-"""Which constraints are in force, where, and at what price: for summaries, plots and pages.
+"""Constraints in force: which, where, and their multipliers; for summaries, plots and pages.
 
 A constraint is in force at the knots where a multiplier of it is not zero: the cost would be less without it there.
 """

@@ -136,7 +136,7 @@ CASES: dict[str, Case] = {
 
 @dataclass
 class Row:
-    """What came of the starts of a case."""
+    """Outcomes of the starts of one case."""
 
     case: str
     done: list[int | None] = field(default_factory=list)
@@ -182,7 +182,7 @@ def measure(name: str, starts: int = 20) -> Row:
 
 
 def summary(rows: Sequence[Row]) -> Table:
-    """A row a case."""
+    """Table with a row for each case."""
     titles = (
         "task",
         "done",

@@ -50,7 +50,7 @@ CASES = {
 
 @dataclass(frozen=True)
 class Row:
-    """What came of the starts of a case."""
+    """Outcomes of the starts of one case."""
 
     case: str
     results: list[Result]

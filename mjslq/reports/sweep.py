@@ -88,13 +88,13 @@ def stated(name: str, grid: Sequence[Point], seeds: int) -> Iterator[Problem]:
 
 
 def gather(grid: Sequence[Point], found: Iterator[Solved], seeds: int) -> None:
-    """Put what comes to its point."""
+    """Add each outcome to the point of the grid that it belongs to."""
     for solved in found:
         grid[solved.index // max(seeds, 1)].solved.append(solved)
 
 
 def summary(grid: Sequence[Point], title: str) -> Table:
-    """A row a point."""
+    """Table of a sweep, with a row for each point."""
     swept = list(grid[0].values) if grid else []
     rows = table(*swept, "solved", "iterations", "seconds", "cost from", "to", "endings of the others", title=title)
     for point in grid:
@@ -109,7 +109,7 @@ def summary(grid: Sequence[Point], title: str) -> Table:
 
 
 def write_csv(grid: Sequence[Point], path: str | os.PathLike[str]) -> None:
-    """A line a problem: its parameters, ending, numbers and file."""
+    """Write a line for each problem: its parameters, ending, numbers and file."""
     names = ["status", "cost", "iterations", "gradient_norm", "constraint_violation", "seconds"]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

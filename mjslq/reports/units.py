@@ -1,4 +1,4 @@
-"""Units of the states and controls of a compiled MuJoCo model, for whoever prints or draws them."""
+"""Units of the states and controls of a compiled MuJoCo model, for tables and plots."""
 
 from __future__ import annotations
 

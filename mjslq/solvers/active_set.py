@@ -186,7 +186,7 @@ class Found(NamedTuple):
 
 
 class ActiveSet:
-    """The method, with its multipliers."""
+    """Newton's method on the constraints in force; keeps their multipliers from iteration to iteration."""
 
     def __init__(self, problem: Problem, scales: tuple[Array, ...], size: float) -> None:
         self.problem = problem.unpenalized

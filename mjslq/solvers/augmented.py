@@ -34,7 +34,7 @@ from mjslq.validation import Array
 
 
 class IntervalLoss(Loss):
-    """The loss at the head of this file."""
+    """Augmented-Lagrangian loss of a residual in an interval; see the head of this file."""
 
     def __init__(self, lower: Array, upper: Array, multipliers: Array, weights: Array) -> None:
         self._lower, self._upper, self._multipliers, self._weights = lower, upper, multipliers, weights

@@ -39,7 +39,7 @@ CONTROLS = "controls"
 
 
 class BarrierLoss(Loss):
-    """The loss at the head of this file."""
+    """Relaxed logarithmic barrier of a residual in an interval; see the head of this file."""
 
     def __init__(self, lower: Array, upper: Array, eps: float, delta: float) -> None:
         both = np.isfinite(lower) & np.isfinite(upper)

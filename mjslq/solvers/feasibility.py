@@ -1,4 +1,4 @@
-"""What can be said of constraints that are not met: which they are, and whether something could be done about them.
+"""Violated constraints: which they are, and whether the linearized system could reduce them.
 
 Least violation of the linearized system: with c the violations of an iterate, scaled, and J their Jacobian,
 

@@ -50,7 +50,7 @@ SMALLEST = 1e-12
 
 
 class Gopronto(CurveMethod):
-    """The method."""
+    """The method GoPRONTO; see the head of this file."""
 
     tests_direction = False
     patience = 3

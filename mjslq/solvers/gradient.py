@@ -27,7 +27,7 @@ LONGEST = 1e6
 
 
 class Gradient(Method):
-    """The method, with the length that it offers next."""
+    """Steepest descent; keeps the step length that the next search begins with."""
 
     tests_direction = False  # its length says nothing here
 

@@ -110,7 +110,7 @@ class Trial:
 
 
 class Found(NamedTuple):
-    """What a search found."""
+    """Result of a line search."""
 
     alpha: float
     iterate: Iterate
@@ -125,7 +125,7 @@ def search(name: str, trial: Trial) -> Found | None:
 
 
 def in_roundoff(slope: float, cost: float) -> bool:
-    """Whether the decrease to hope for drowns in the rounding of the cost."""
+    """Whether the expected decrease is below the rounding error of the cost."""
     return abs(slope) < ROUNDOFF * abs(cost)
 
 
@@ -141,7 +141,7 @@ def by_gradient_norm(trial: Trial) -> float | None:
 
 
 def armijo(trial: Trial) -> float | None:
-    """Backtracking by halves."""
+    """Armijo's rule by halving."""
     alpha = 1.0
     while alpha > trial.smallest:
         trial.ahead(alpha, 0.5 * alpha, 0.25 * alpha, 0.125 * alpha)
@@ -152,7 +152,7 @@ def armijo(trial: Trial) -> float | None:
 
 
 def goldstein(trial: Trial) -> float | None:
-    """Neither too long nor too short, by bisection; alpha = 1 may be short."""
+    """Goldstein's rule by bisection; alpha = 1 may be too short."""
     low, high, alpha = 0.0, 1.0, 1.0
     for _ in range(60):
         if not trial.descends(alpha, C1_GOLDSTEIN):

@@ -35,7 +35,7 @@ _NO_DIRECTION = "There is no descent direction: {error}. Give each control a cos
 
 @dataclass
 class Outcome:
-    """Where a descent ended."""
+    """Outcome of a descent: its status, the last iterate, and what belongs to it."""
 
     status: Status
     iterate: Iterate

@@ -1,4 +1,4 @@
-"""What a step has to lower: the cost, and the gaps of a state guess beside it.
+"""Merit functions, which a step has to lower: the cost, and weighted gaps of a state guess beside it.
 
     phi = J + nu sum_n |c_n|_1,     nu at least twice the largest costate, so that phi falls along the sweep's step:
     phi' = q'x_bar + r'u_bar - nu sum_n |c_n|_1

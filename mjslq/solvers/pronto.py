@@ -64,7 +64,7 @@ SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)
 
 
 class Pronto(CurveMethod):
-    """The method."""
+    """The method PRONTO; see the head of this file."""
 
     def __init__(self, options: ProntoOptions) -> None:
         super().__init__(options)

@@ -24,7 +24,7 @@ from mjslq.solvers.steps import LineSearch
 
 
 class SLQ(Method):
-    """The method, with its multiplier."""
+    """Sequential linear quadratic optimization; keeps its multiplier from iteration to iteration."""
 
     def __init__(self, options: SLQOptions) -> None:
         self.options = options

@@ -78,7 +78,7 @@ ROUNDOFF = 1e-12
 
 
 class Shares(NamedTuple):
-    """Percentages."""
+    """Shares of the errors that an iteration is to correct."""
 
     cost: float
     """c_J; zero without the row of the cost."""
@@ -112,7 +112,7 @@ class Plan(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """What came of halving percentages."""
+    """Outcome of a search over halved percentages."""
 
     iterate: ConstrainedIterate | None
     shares: Shares
@@ -120,7 +120,7 @@ class Trial(NamedTuple):
 
 
 class SquareRootSweep(Method):
-    """The method, with its percentages and its threshold."""
+    """McQuade's method; keeps its percentages and its threshold from iteration to iteration."""
 
     tests_direction = False
 

@@ -45,7 +45,7 @@ SMALLEST = 1e-14
 
 
 class TrustRegion(Method):
-    """The method, with its radius."""
+    """The trust-region method; keeps its radius from iteration to iteration."""
 
     def __init__(self, options: TrustRegionOptions) -> None:
         self.options = options

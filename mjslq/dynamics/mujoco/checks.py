@@ -1,4 +1,4 @@
-"""What a MuJoCo model must not have, because its state would hold more than x = (qpos, qvel, act), or less."""
+"""Refusal of MuJoCo models that cannot be optimized, such as those whose state is more than (qpos, qvel, act)."""
 
 from __future__ import annotations
 
