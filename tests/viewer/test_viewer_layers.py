@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,6 +20,7 @@ from mjslq.dynamics.mujoco.drawing import drawn_scene
 from mjslq.scene import Marker, Scene
 from mjslq.trajectory import Trajectory
 from mjslq.viewer import geometry, textures
+from mjslq.viewer.batches import place
 from mjslq.viewer.details import between, details
 from mjslq.viewer.layers import flexes
 from mjslq.viewer.layers.layer import turn_z_to
@@ -383,3 +385,32 @@ def test_single_colours_are_no_textures() -> None:
     )
     (piece,) = geometry.pieces(model)
     assert piece.cover is None and piece.rgba == pytest.approx((0.5, 0.25, 0.5, 1.0), abs=0.01)
+
+
+@pytest.mark.slow
+def test_poses_in_one_message_cost_less_than_in_two(server: viser.ViserServer) -> None:
+    """By CPU time, in one process; what a whole page costs, `demos/viewer_cost.py` measures."""
+    bodies = "".join(f'<body pos="{i} 0 0"><freejoint/><geom size=".1"/></body>' for i in range(50))
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    X = np.tile(np.r_[model.qpos0, np.zeros(model.nv)], (1, 1))
+    view = SceneView(server, drawn_scene(model, "many"), Trajectory(X, np.zeros((0, 0)), dt=np.zeros(0)))
+    handles = [server.scene.get_handle_by_name(f"/bodies/body {i + 1}/{i}") for i in range(50)]
+    poses = np.random.default_rng(0).normal(size=(2, 50, 1, 7))
+
+    def two(k: int) -> None:
+        for handle, pose in zip(handles, poses[k % 2], strict=True):
+            handle.batched_positions, handle.batched_wxyzs = pose[:, :3], pose[:, 3:]
+
+    def one(k: int) -> None:
+        for handle, pose in zip(handles, poses[k % 2], strict=True):
+            place(handle, pose[:, :3], pose[:, 3:])
+
+    seconds = {}
+    for act in (two, one) * 2:  # the first round warms up
+        start = time.process_time()
+        for k in range(200):
+            with server.atomic():
+                act(k)
+        seconds[act] = time.process_time() - start
+    assert seconds[one] < 0.8 * seconds[two]
+    assert view.model.nbody == 51
