@@ -63,7 +63,7 @@ class SceneView:
             low, high = self._extent()
             self._stage.reach = float(np.linalg.norm(high - low))
             self._stage.length = self._length()
-            self.surroundings = Surroundings(self._stage, low, high)
+            self.surroundings = Surroundings(self._stage, 0.5 * (low + high), self._lowest(low[2]))
             self.layers: dict[str, Layer] = self._make_layers(contact, passed)
             """What can be shown and hidden, by name."""
             self._point_camera(low, high)
@@ -186,6 +186,14 @@ class SceneView:
         low, high = extent(self._motion, bodies[moves], boxes[moves])
         room = _SURROUNDINGS * float(np.linalg.norm(high - low))
         return np.maximum(all_low, low - room), np.minimum(all_high, high + room)
+
+    def _lowest(self, low: float) -> float:
+        """Return the height of the lowest of what moves, which is `low`, and of what stands. [m]"""
+        fixed = [piece for piece in self.bodies.pieces if self.model.body_weldid[piece.body] == 0]
+        if not fixed:
+            return float(low)
+        boxes = np.array([[piece.vertices.min(axis=0), piece.vertices.max(axis=0)] for piece in fixed])
+        return min(float(low), float(extent(self._motion.first(), np.array([p.body for p in fixed]), boxes)[0][2]))
 
     def _length(self) -> float:
         """Return the size of what moves as it stands at first, from corner to corner. [m]"""

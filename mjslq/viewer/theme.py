@@ -28,8 +28,6 @@ class Theme:
     """Opacity of shadows on the ground."""
     dim: float
     """What the colours of a model's own ground are multiplied by."""
-    sun: float
-    """Intensity of the light from straight above, which casts shadows."""
     key: float
     """Intensity of the light from the front."""
     rim: float
@@ -69,10 +67,9 @@ LIGHT = Theme(
     net=(206, 211, 219),
     shadow=0.42,
     dim=1.0,
-    sun=2.1,
-    key=1.2,
-    rim=0.45,
-    ambient=1.15,
+    key=0.9,
+    rim=0.35,
+    ambient=0.85,
     paths=((208, 80, 38), (31, 110, 178), (36, 140, 92), (150, 72, 168), (190, 140, 20), (70, 80, 95)),
     force=(203, 44, 74),
     contact=(240, 150, 20),
@@ -87,13 +84,12 @@ DARK = Theme(
     ground=(43, 48, 57),
     cell=(54, 60, 70),
     section=(72, 79, 91),
-    net=(58, 64, 75),
+    net=(74, 82, 95),
     shadow=0.6,
     dim=0.42,
-    sun=1.9,
-    key=1.25,
-    rim=1.1,
-    ambient=0.8,
+    key=1.0,
+    rim=1.0,
+    ambient=0.6,
     paths=((255, 138, 86), (96, 172, 240), (92, 208, 150), (214, 140, 232), (240, 200, 90), (190, 198, 210)),
     force=(255, 96, 120),
     contact=(255, 186, 70),

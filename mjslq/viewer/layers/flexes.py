@@ -64,17 +64,18 @@ class Flexes(Layer):
             update(frame)
 
     def _meshes(self, name: str, faces: Faces, classes: list[tuple[Any, Faces]], vertices: Array) -> list[Any]:
-        """Make a mesh for each (rgba, faces of that colour); all share their vertices."""
+        """Make a mesh for each (rgba, faces of that colour), with the vertices that it uses."""
+        used = [np.unique(faces[chosen], return_inverse=True) for _, chosen in classes]
         return [
             self._stage.server.scene.add_mesh_simple(
                 f"/{name}/{k}",
-                vertices=vertices.astype(np.float32),
-                faces=faces[chosen].astype(np.uint32),
+                vertices=vertices[used[k][0]].astype(np.float32),
+                faces=used[k][1].reshape(-1, 3).astype(np.uint32),
                 color=color_bytes(np.array(rgba[:3])),
                 opacity=rgba[3] if rgba[3] < 1.0 else None,
                 side="double",
             )
-            for k, (rgba, chosen) in enumerate(classes)
+            for k, (rgba, _) in enumerate(classes)
         ]
 
 
@@ -90,18 +91,19 @@ class _Cable:
 
 
 class _Moved:
-    """Meshes that share vertices."""
+    """Meshes of one surface, each with the vertices that it uses."""
 
     def __init__(self, surface: Any, handles: list[Any]) -> None:
         self._surface, self._handles = surface, handles
+        self._used = [np.unique(surface.faces[chosen]) for _, chosen in surface.classes]
         self._last = np.empty(0)
 
     def __call__(self, frame: Frame) -> None:
         vertices = self._surface.at(frame).astype(np.float32)
         if not np.array_equal(vertices, self._last):
             self._last = vertices
-            for handle in self._handles:
-                handle.vertices = vertices
+            for handle, used in zip(self._handles, self._used, strict=True):
+                handle.vertices = vertices[used]
 
 
 class _Sheet:

@@ -12,15 +12,15 @@ import numpy as np
 
 from mjslq.scene import Marker
 from mjslq.validation import Array
+from mjslq.viewer import geometry
 from mjslq.viewer.batches import place
 from mjslq.viewer.details import details
-from mjslq.viewer.geometry import geom_ball
-from mjslq.viewer.layers.layer import Layer, Stage
+from mjslq.viewer.layers.layer import Layer, Stage, place_sticks
 from mjslq.viewer.motion import Frame, Motion, rotated
 
 _AXIS, _AXIS_RADIUS = 0.10, 0.003  # of frames, in sizes of the model
-_JOINT, _JOINT_RADIUS = 0.16, 0.006
-_MASS, _TARGET = 0.022, 0.03
+_JOINT, _JOINT_RADIUS = 0.32, 0.006
+_MASS, _PLUMB, _TARGET = 0.03, 0.0025, 0.03
 
 
 class Frames(Layer):
@@ -79,9 +79,10 @@ class JointAxes(Layer):
 
 
 class Masses(Layer):
-    """A ball at the centre of mass of each thing that moves by itself."""
+    """A ball at the centre of mass of each thing that moves by itself, and where it is above a level ground."""
 
     title = "Centres of mass"
+    hint = "With a plumb line to a level ground"
 
     def _build(self) -> list[Any]:
         model = self._stage.model
@@ -91,15 +92,27 @@ class Masses(Layer):
             row[model.body_rootid == root] = model.body_mass[model.body_rootid == root]
         self._shares = self._shares[self._shares.sum(axis=1) > 0.0]
         self._shares /= self._shares.sum(axis=1, keepdims=True)
-        vertices, faces = geom_ball(_MASS * self._stage.length)
-        ball = self._batch("masses/balls", vertices, faces, max(len(self._shares), 1), self._stage.theme.mass)
-        ball.batched_scales = np.ones((max(len(self._shares), 1), 3), dtype=np.float32)
-        return [ball]
+        level = [plane.position[2] for plane in geometry.planes(model) if abs(plane.wxyz[0]) > 1.0 - 1e-6]
+        self._ground = float(max(level)) if level else None
+        number, color = len(self._shares), self._stage.theme.mass
+        if not number:
+            return []
+        vertices, faces = geometry.geom_ball(_MASS * self._stage.length)
+        ball = self._batch("masses/balls", vertices, faces, number * (1 + bool(level)), color)
+        sizes = np.repeat([1.0, 0.45], number)[: len(ball.batched_positions)]
+        ball.batched_scales = np.repeat(sizes[:, None], 3, axis=1).astype(np.float32)
+        return [ball, self._sticks("masses/lines", number, color)] if level else [ball]
 
     def _pose(self, frame: Frame) -> None:
+        if not self._handles:
+            return
         positions = center_of_mass(self._stage.model, frame, self._shares)
-        if len(positions):
-            self._handles[0].batched_positions = positions.astype(np.float32)
+        if self._ground is not None:
+            feet = np.column_stack([positions[:, :2], np.full(len(positions), self._ground)])
+            radii = np.full(len(positions), _PLUMB * self._stage.length)
+            place_sticks(self._handles[1], np.stack([positions, feet], axis=1), radii)
+            positions = np.concatenate([positions, feet])
+        self._handles[0].batched_positions = positions.astype(np.float32)
 
 
 class Targets(Layer):
@@ -117,7 +130,7 @@ class Targets(Layer):
         handles: list[Any] = []
         for i, marker in enumerate(self._markers):
             for radius, opacity in ((_TARGET, 0.35), (0.3 * _TARGET, 0.95)):
-                vertices, faces = geom_ball(radius * length)
+                vertices, faces = geometry.geom_ball(radius * length)
                 handles.append(
                     scene.add_mesh_simple(
                         f"/targets/{i}/{radius}",

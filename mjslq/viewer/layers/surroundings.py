@@ -19,9 +19,9 @@ _RIM = (-0.8, 0.6, 0.35)
 class Surroundings:
     """The planes of a model, or a net below it, under a sky; the lights."""
 
-    def __init__(self, stage: Stage, low: Array, high: Array) -> None:
-        """Draw them about a motion within the box `low` ... `high` (3,). [m]"""
-        self._stage, self._low, self._high = stage, low, high
+    def __init__(self, stage: Stage, middle: Array, lowest: float) -> None:
+        """Draw them about a motion with its middle at (3,) [m]; nothing is below the height `lowest` [m]."""
+        self._stage, self._middle, self._lowest = stage, middle, lowest
         self._handles: list[Any] = []
         self._planes: list[tuple[geometry.Plane, Any]] = []
         self.groups = set(geometry.SHOWN_GROUPS)
@@ -35,7 +35,6 @@ class Surroundings:
             for handle in self._handles:
                 handle.remove()
             scene.set_up_direction("+z")
-            scene.configure_default_lights(False)
             scene.configure_environment_map(None)
             scene.set_background_image(theme.backdrop(), format="png")
             self._handles = self._light() + self._draw_ground()
@@ -51,9 +50,8 @@ class Surroundings:
         scene, theme = self._stage.server.scene, self._stage.theme
         white, cold = (255, 250, 242), (205, 222, 255)
         above, below = ((225, 234, 250), (120, 122, 130)) if not theme.dark else ((150, 165, 195), (60, 62, 70))
+        scene.configure_default_lights(True, cast_shadow=True)  # from above, of intensity 3; ours cost twice as much
         return [
-            # Viser's page lets no light cast shadows but from straight above, whatever its position
-            scene.add_light_directional("/lights/sun", color=white, intensity=theme.sun, cast_shadow=True),
             scene.add_light_directional("/lights/key", color=white, intensity=theme.key, position=_KEY),
             scene.add_light_directional("/lights/rim", color=cold, intensity=theme.rim, position=_RIM),
             scene.add_light_hemisphere("/lights/sky", sky_color=above, ground_color=below, intensity=theme.ambient),
@@ -65,8 +63,7 @@ class Surroundings:
         if any(plane.group in geometry.SHOWN_GROUPS for plane in found):
             return [handle for _, handle in self._planes]
         # nothing to stand on in the model: a faint net below the motion, for orientation only
-        low, high, size = self._low, self._high, self._stage.reach
-        below = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2] - 0.05 * size])
+        below = np.array([*self._middle[:2], self._lowest - 0.05 * self._stage.reach])
         net = self._grid("reference/net", (0.0, 0.0), None, below, np.array([1.0, 0.0, 0.0, 0.0]))
         return [*(handle for _, handle in self._planes), net]
 
