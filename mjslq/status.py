@@ -28,6 +28,7 @@ class Status(enum.Enum):
     INFEASIBLE = "infeasible"
     AT_LIMITS = "at_limits"
     NO_CONTACT_GRADIENT = "no_contact_gradient"
+    AT_KINK = "at_kink"
 
     @property
     def message(self) -> str:
@@ -64,6 +65,11 @@ _MESSAGES = {
         "The gradient is zero because nothing that the controls move touches what the cost is about, not because there "
         "is nothing to gain. Start from controls that touch it (guess=), or give the engine foresight "
         "(MujocoDynamics.from_path(..., foresight=0.1))."
+    ),
+    Status.AT_KINK: (
+        "Stationary at a kink: the cost has other slopes on other sides of this point, and no direction descends along "
+        "all of those that were found. As far as they tell this is a minimum; to look further, smooth the contacts or "
+        "perturb the controls."
     ),
     Status.STOPPED: "The callback asked to stop; this is the best iterate so far.",
 }

@@ -89,19 +89,25 @@ def bench(
         bool,
         typer.Option("--robots", help="Solve the robots' tasks from perturbed starts: 20, or --starts."),
     ] = False,
+    seed: Annotated[
+        int, typer.Option(help="First of the seeds that perturb the starts; other seeds, other starts.")
+    ] = 0,
     as_json: Json = False,
 ) -> None:
     """Time an iteration, phase by phase, and compare it with the engine's own calls."""
     announce(quiet=False)
     from mjslq.reports import bench, tables
-    from mjslq.validation import choose
+    from mjslq.validation import choose, count
 
+    count("seed", seed, at_least=0)
     if robots:
-        _bench_robots(cases, 20 if starts is None else starts, as_json)
+        _bench_robots(cases, 20 if starts is None else starts, seed, as_json)
         return
     if starts is not None:
-        _bench_starts(cases, starts, as_json)
+        _bench_starts(cases, starts, seed, as_json)
         return
+    if seed:
+        raise ValueError("--seed perturbs starts: give it with --robots or --starts")
     rows = []
     for case in [choose("case", case, bench.CASES) for case in cases or bench.CASES]:
         print(f"measuring {case} ...", file=sys.stderr, flush=True)
@@ -116,7 +122,7 @@ def bench(
         tables.benchmark(rows, growth)
 
 
-def _bench_robots(cases: list[str] | None, number: int, as_json: bool) -> None:
+def _bench_robots(cases: list[str] | None, number: int, seed: int, as_json: bool) -> None:
     """Solve each robot's task from perturbed starts, by default settings."""
     from mjslq.reports import robots, tables
     from mjslq.validation import choose, count
@@ -125,14 +131,14 @@ def _bench_robots(cases: list[str] | None, number: int, as_json: bool) -> None:
     rows = []
     for case in [choose("case", case, robots.CASES) for case in cases or robots.CASES]:
         print(f"solving {case} from {number} starts ...", file=sys.stderr, flush=True)
-        rows.append(robots.measure(case, number))
+        rows.append(robots.measure(case, number, seed))
     if as_json:
         print(json.dumps({"robots": [row.as_dict() for row in rows]}))
     else:
         tables.console(150).print(robots.summary(rows))
 
 
-def _bench_starts(cases: list[str] | None, number: int, as_json: bool) -> None:
+def _bench_starts(cases: list[str] | None, number: int, seed: int, as_json: bool) -> None:
     """Solve each case from perturbed starts, by default settings."""
     from mjslq.reports import starts, tables
     from mjslq.validation import choose, count
@@ -141,7 +147,7 @@ def _bench_starts(cases: list[str] | None, number: int, as_json: bool) -> None:
     rows = []
     for case in [choose("case", case, starts.CASES) for case in cases or starts.CASES]:
         print(f"solving {case} from {number} starts ...", file=sys.stderr, flush=True)
-        rows.append(starts.measure(case, number))
+        rows.append(starts.measure(case, number, first=seed))
     if as_json:
         print(json.dumps({"starts": [row.as_dict() for row in rows]}))
     else:

@@ -167,10 +167,10 @@ class Row:
         return {"case": self.case, "solved": self.solved, "wanted": wanted, "within": most} | numbers | told
 
 
-def measure(name: str, starts: int = 20) -> Row:
-    """Solve one of `CASES` from `starts` perturbed starts."""
+def measure(name: str, starts: int = 20, first: int = 0) -> Row:
+    """Solve one of `CASES` from `starts` perturbed starts, those of the seeds `first`, `first` + 1, ..."""
     row, case = Row(name), CASES[name]
-    for problem, guess in started(case, starts):
+    for problem, guess in started(case, starts, first):
         result = solve(problem, guess=guess, max_iterations=case.most)
         row.done.append(first_met(case, problem, result))
         row.seconds.append(result.seconds)
@@ -207,7 +207,7 @@ def summary(rows: Sequence[Row]) -> Table:
     return found
 
 
-def started(case: Case, starts: int) -> Iterator[tuple[Problem, Array | None]]:
+def started(case: Case, starts: int, first: int = 0) -> Iterator[tuple[Problem, Array | None]]:
     """The problem of a case from perturbed starts, and a guess of the states where there is one."""
     problem = problems.get(case.problem, **case.parameters)
     moved: Array = np.full(problem.dynamics.ndx, case.states)
@@ -215,7 +215,7 @@ def started(case: Case, starts: int) -> Iterator[tuple[Problem, Array | None]]:
         moved[[4, 5, 6]] = 0.0  # it lies on the floor
     elif case.problem.startswith(("solo12", "g1")):
         moved[:6] = 0.0  # the feet stand on it
-    for seed in range(starts):
+    for seed in range(first, first + starts):
         if case.guessed:
             nv, rest = problem.dynamics.nv, np.tile(np.asarray(problem.x0), (problem.horizon + 1, 1))
             rest[:, :nv] += case.states * np.random.default_rng(seed).standard_normal(nv)

@@ -93,13 +93,12 @@ class Row:
         return max(0.0, float(max(beyond)))
 
 
-def measure(name: str, starts: int = 20, method: str = "auto", **options: Any) -> Row:
-    """Solve one of `CASES` from `starts` perturbed starts."""
+def measure(name: str, starts: int = 20, method: str = "auto", *, first: int = 0, **options: Any) -> Row:
+    """Solve one of `CASES` from `starts` perturbed starts, those of the seeds `first`, `first` + 1, ..."""
     case = CASES[name]
     problem = problems.get(case.problem, **case.parameters)
-    return Row(
-        name, [solve(perturbed(problem, s, case), method, keep_iterates=False, **options) for s in range(starts)]
-    )
+    seeds = range(first, first + starts)
+    return Row(name, [solve(perturbed(problem, s, case), method, keep_iterates=False, **options) for s in seeds])
 
 
 def perturbed(problem: Problem, seed: int, case: Case) -> Problem:

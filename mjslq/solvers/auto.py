@@ -20,7 +20,7 @@ while the controls may do what it takes. Limits among which the minimizer is not
 controls at a limit) raise mu_u, and so does a model without a minimizer. Full steps divide both by 5; below a
 thousandth of the scale they are zero. Where no step descends, mu_x grows by 2, 4, 8, ... until one does. When damped
 steps creep, `PATIENCE_TO_CREEP` in a row with hardly any decrease, mu_x and mu_u change parts: at a kink the controls
-have to be kept, not the states.
+have to be kept, not the states. Where nothing of this descends, `kinks` looks for a way past what is there.
 
 Steps are halved until one descends, under the sweep's feedback; full ones that bring more than the model expects are
 doubled as long as that pays.
@@ -33,6 +33,7 @@ were short without, too.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,7 @@ from mjslq.lq.box import BoxSolution, solve_in_box
 from mjslq.lq.problem import LQProblem, NotPositiveDefinite
 from mjslq.options import AutoOptions
 from mjslq.solvers.iterate import Direction, Iterate
+from mjslq.solvers.kinks import Kinks
 from mjslq.solvers.linesearch import C1, Trial, in_roundoff, search
 from mjslq.solvers.merit import Merit
 from mjslq.solvers.method import Method, Step
@@ -112,8 +114,10 @@ class Candidate(NamedTuple):
 class Auto(Method):
     """The method, with its multipliers, its share of the curvature and the costates of the sweep before."""
 
-    def __init__(self, options: AutoOptions) -> None:
+    def __init__(self, options: AutoOptions, kinks: bool = True) -> None:
         self.options = options
+        self.kinks = Kinks() if kinks else None
+        """What to do where no step descends; None for leaving that to others."""
         self.mu, self.theta = Multipliers(), 1.0
         self._kind = "state"  # which multiplier short steps raise
         self._creeping = 0
@@ -160,7 +164,9 @@ class Auto(Method):
         self._damped += any(self._latest.mu)
         if found is None:
             rescued = self._rescue(here, merit)
-            return Step(rescued.iterate, rescued.alpha, trial.evaluations + rescued.rollouts)
+            if rescued.iterate is None and self.kinks is not None:
+                rescued = self.kinks.step(here, rescued)
+            return dataclasses.replace(rescued, rollouts=trial.evaluations + rescued.rollouts)
         self._costates = direction.costates
         self._adapt(found.alpha, self._latest, here.problem.dynamics.curvature_price)
         alpha = _expanded(trial, found.alpha)
@@ -187,7 +193,8 @@ class Auto(Method):
             parts = [f"Gauss-Newton, with second derivatives from iteration {self._second_from} on"]
         if self._damped:
             parts.append(f"a multiplier in {self._damped} of {self._iterations} iterations")
-        return f"auto: {', '.join(parts)}."
+        said = f"auto: {', '.join(parts)}."
+        return said if self.kinks is None else f"{self.kinks.remark()} {said}".strip()
 
     def _minimize(self, here: Iterate, mu: Multipliers) -> Candidate:
         """Minimizer with the largest share of the curvature that leaves one."""
@@ -300,8 +307,8 @@ def _expanded(trial: Trial, alpha: float) -> float:
 def _solve(here: Iterate, model: LQProblem, theta: float, mu: Multipliers) -> Candidate:
     """Minimize a model with multipliers; they are relative to max|Q| and to D."""
     convex = here.gauss_newton
-    Q = max(float(np.abs(convex.Q).max(initial=0.0)), 1e-300)
     D = np.abs(np.einsum("nii->ni", convex.R)).max(axis=0, initial=0.0)
+    Q = max(float(np.abs(convex.Q).max(initial=0.0)) or float(D.max(initial=0.0)), 1e-300)
     D = np.maximum(D, 1e-6 * D.max(initial=0.0) + 1e-300)
     found = solve_in_box(model, here.box, mu.control * D, mu.state * Q, SWEEPS)
     X, U = found.lq.X, found.lq.U

@@ -116,7 +116,7 @@ class Constrained(Method):
 
     def __init__(self, options: ConstrainedOptions) -> None:
         self.options = options
-        self._inner = Auto(options)
+        self._inner = Auto(options, kinks=False)
         self._rounds = self._restarts = self._iterations = self._failures = self._stalled = 0
         self._best: Best | None = None
         self._augmented: Augmented | None = None
@@ -269,7 +269,7 @@ class Constrained(Method):
         self._t, self._last, self._least, self._stalled = FIRST_T, np.inf, np.inf, 0
         self._iterations = self._failures = 0  # of this round; rounds in a row without a step
         self._rounds += 1
-        self._inner = Auto(self.options)
+        self._inner = Auto(self.options, kinks=False)
         here = self._round.about(self._start)
         self._keep(here)
         return here

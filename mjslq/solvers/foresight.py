@@ -20,7 +20,8 @@ from mjslq.solvers.monitor import Monitor
 from mjslq.status import Status
 
 ENDED = (
-    Status.CONVERGED, Status.STEP_TOO_SMALL, Status.INFEASIBLE, Status.AT_LIMITS, Status.NO_CONTACT_GRADIENT
+    Status.CONVERGED, Status.STEP_TOO_SMALL, Status.INFEASIBLE, Status.AT_LIMITS, Status.NO_CONTACT_GRADIENT,
+    Status.AT_KINK,
 )  # fmt: skip
 """Endings of the first descent after which there is more to be done."""
 
