@@ -87,6 +87,7 @@ def solve(
     settings: Settings = None,
     save: Annotated[Path | None, typer.Option(help="Write the result to this .npz file.")] = None,
     view: View = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Show the solve in a browser while it runs.")] = False,
     host: Host = "127.0.0.1",
     port: Port = 8080,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
@@ -102,7 +103,13 @@ def solve(
     stated, method, options = tasks.posed(problem, method, settings or [])
     if preset is not None:
         options["preset"] = preset
-    result = run(stated, method, verbose=0 if quiet else 1, stream=sys.stderr, **options)
+    options |= {"verbose": 0 if quiet else 1, "stream": sys.stderr}
+    window = None
+    if watch:
+        from mjslq.viewer import watch as watching
+
+        window = watching(stated, method, host, port, block=False, **options)
+    result = run(stated, method, **options) if window is None else window.result
     if as_json:
         print(json.dumps(as_dict(result), allow_nan=False))
     elif not quiet:
@@ -113,7 +120,12 @@ def solve(
         result.save(save)
         if not quiet:
             print(f"saved to {save}", file=sys.stderr)
-    if view:
+    if window is not None:
+        from mjslq.viewer.serving import stay
+
+        print("the solve has ended; Ctrl-C closes the viewer", file=sys.stderr, flush=True)
+        stay(window)
+    elif view:
         from mjslq.viewer import view as show
 
         show(result, host, port)
@@ -122,12 +134,19 @@ def solve(
 
 @app.command()
 def view(
-    file: Annotated[Path, typer.Argument(help="A result that `solve --save` wrote, or a model (.xml, .urdf, .mjb).")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="Results that `solve --save` wrote, or a model (.xml, .urdf, .mjb)."),
+    ],
     host: Host = "127.0.0.1",
     port: Port = 8080,
 ) -> None:
-    """Show a saved result in a browser; or a model, with its keyframes and a slider for each joint."""
-    if file.suffix.lower() in MODELS:
+    """Show a saved result in a browser, or several to compare; or a model, with its keyframes and joint sliders."""
+    models = [file for file in files if file.suffix.lower() in MODELS]
+    if models and len(files) > 1:
+        raise ValueError(f"a model is viewed alone, and {models[0]} is one; results can be compared, up to eight")
+    if models:
+        file = models[0]
         from mjslq.dynamics.mujoco import MujocoDynamics
         from mjslq.viewer.model_view import view_model
 
@@ -136,7 +155,7 @@ def view(
     from mjslq.result import load
     from mjslq.viewer import view as show
 
-    show(load(file), host, port)
+    show([load(file) for file in files], host, port)
 
 
 @app.command()
@@ -195,8 +214,7 @@ def compare(
     if view:
         from mjslq.viewer import view as show
 
-        best, *others = sorted((entry.result for entry in entries), key=lambda result: result.cost)
-        show(best, host, port, beside=others)
+        show([entry.result for entry in entries], host, port)
 
 
 for _command in (

@@ -78,11 +78,20 @@ def present(shown: Shown, block: bool) -> Shown:
     shown.start()
     try:
         print(f"{shown.kind} at {shown.url}" + (" (Ctrl-C ends it)" if block else ""), flush=True)
-        if block:
-            shown.wait()
     except KeyboardInterrupt:
         shown.stop()
+        return shown
+    if block:
+        stay(shown)
     return shown
+
+
+def stay(shown: Served) -> None:
+    """Stay until Ctrl-C, which closes what is shown."""
+    try:
+        shown.wait()
+    except KeyboardInterrupt:
+        shown.stop()
 
 
 def _refuse_foreign_host(host: str) -> None:

@@ -1,0 +1,121 @@
+"""A further result in a scene that has ground and light: what moves in its model, in one colour, at an offset.
+
+Every pose is one instance of each shape, so that a frame costs one message a piece, whatever the number of ghosts.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mjslq.scene import Scene
+from mjslq.validation import Array
+from mjslq.viewer import geometry
+from mjslq.viewer.motion import Motion
+
+if TYPE_CHECKING:
+    import viser
+
+_OPACITY, _GHOST_OPACITY = 0.75, 0.25
+_SHRINK = 0.003  # relative to the result before: surfaces that coincide would flicker
+
+
+class TintedView:
+    """The moving bodies of a result in a Viser server that shows another one."""
+
+    def __init__(
+        self, server: viser.ViserServer, scene: Scene, model: Any, place: int, tint: tuple[float, float, float]
+    ) -> None:
+        """Draw `scene`, whose compiled model is `model`, as the result with number `place` from 1 on."""
+        self._server, self._scene, self._tint, self._place = server, scene, tint, place
+        self._pieces = geometry.pieces(model)
+        self._moves = [bool(model.body_weldid[piece.body] != 0) for piece in self._pieces]
+        self._root = server.scene.add_frame(f"/results/{place}", show_axes=False)
+        self._fixed = server.scene.add_frame(f"/results/{place}/fixed", show_axes=False, visible=False)
+        self._ghosts: list[tuple[int, Any]] = []
+        self._movers: list[tuple[int, Any]] = []
+        self._drawn_fixed = False
+
+    def follow(self, moved: Motion) -> None:
+        """Take the poses of `moved` from now on."""
+        self._motion = moved
+        if not self._movers:
+            self._movers = self._draw("moving", 1, _OPACITY)
+            self._draw_fixed()
+        self.show(0.0)
+
+    def show(self, time: float) -> None:
+        """Put the robot where it is at `time` [s]."""
+        positions, wxyzs = self._motion.at(time)
+        with self._server.atomic():
+            _pose(self._movers, positions[None], wxyzs[None])
+
+    def set_ghosts(self, positions: Array, wxyzs: Array) -> None:
+        """Show pale copies at poses (k, nbody, 3) [m] and (k, nbody, 4); none with k = 0."""
+        with self._server.atomic():
+            if not self._ghosts or len(self._ghosts[0][1].batched_positions) != len(positions):
+                for _, ghost in self._ghosts:
+                    ghost.remove()
+                self._ghosts = self._draw("ghosts", len(positions), _GHOST_OPACITY) if len(positions) else []
+            _pose(self._ghosts, positions, wxyzs)
+
+    def clear_ghosts(self) -> None:
+        """Show no ghosts."""
+        self.set_ghosts(np.empty((0, 1, 3)), np.empty((0, 1, 4)))
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide all of it."""
+        self._root.visible = visible
+
+    def set_offset(self, offset: Array) -> None:
+        """Put all of it at `offset` (3,) [m]; away from zero it stands on fixed bodies of its own."""
+        self._root.position = offset
+        self._fixed.visible = bool(np.any(offset))
+
+    def _draw(self, what: str, number: int, opacity: float) -> list[tuple[int, Any]]:
+        found = []
+        for i, piece in enumerate(self._pieces):
+            if not self._moves[i]:
+                continue
+            handle = self._server.scene.add_batched_meshes_simple(
+                f"/results/{self._place}/{what}/{i}",
+                piece.vertices.astype(np.float32),
+                piece.faces.astype(np.uint32),
+                batched_positions=np.zeros((number, 3), dtype=np.float32),
+                batched_wxyzs=np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (number, 1)),
+                batched_scales=np.full(number, 1.0 - _SHRINK * self._place, dtype=np.float32),
+                batched_colors=linear_bytes(self._tint),
+                opacity=opacity * piece.rgba[3],
+                lod="off",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            found.append((piece.body, handle))
+        return found
+
+    def _draw_fixed(self) -> None:
+        for i, piece in enumerate(self._pieces):
+            if not self._moves[i]:
+                self._server.scene.add_mesh_simple(
+                    f"/results/{self._place}/fixed/{i}",
+                    piece.vertices.astype(np.float32),
+                    piece.faces.astype(np.uint32),
+                    color=np.array(piece.rgba[:3]),
+                    position=self._motion.positions[0, piece.body],
+                    wxyz=self._motion.wxyzs[0, piece.body],
+                )
+
+
+def _pose(movers: list[tuple[int, Any]], positions: Array, wxyzs: Array) -> None:
+    for body, handle in movers:
+        handle.batched_positions = positions[:, body].astype(np.float32)
+        handle.batched_wxyzs = wxyzs[:, body].astype(np.float32)
+
+
+def linear_bytes(rgb: tuple[float, float, float]) -> tuple[int, int, int]:
+    """Return the colour as linear light, which is how Viser reads the colours of batched meshes."""
+    array = np.array(rgb)
+    linear = np.where(array <= 0.04045, array / 12.92, ((array + 0.055) / 1.055) ** 2.4)
+    r, g, b = (round(255.0 * float(c)) for c in linear)
+    return r, g, b
