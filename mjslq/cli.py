@@ -120,12 +120,12 @@ def solve(
         result.save(save)
         if not quiet:
             print(f"saved to {save}", file=sys.stderr)
-    if window is not None:
+    if window is not None and window.player is not None:
         from mjslq.viewer.serving import stay
 
         print("the solve has ended; Ctrl-C closes the viewer", file=sys.stderr, flush=True)
         stay(window)
-    elif view:
+    elif view and window is None:
         from mjslq.viewer import view as show
 
         show(result, host, port)

@@ -56,5 +56,5 @@ _MESSAGES = {
         "is nothing to gain. Start from controls that touch it (guess=), or give the engine foresight "
         "(MujocoDynamics.from_path(..., foresight=0.1))."
     ),
-    Status.STOPPED: "The callback asked to stop; this is the best iterate so far.",
+    Status.STOPPED: "A callback, or the Stop button of a viewer, asked to stop; this is the best iterate so far.",
 }

@@ -26,7 +26,7 @@ LAYOUTS = ("overlaid", "side by side")
 _STEPS = {"first": None, "- 1": -1, "+ 1": 1, "last": None}
 """What the buttons for single steps are called, and how far they go."""
 
-_NOTE = '<div style="font-size:12px;opacity:.65;padding:0 12px 6px;text-align:right">{}</div>'
+_NOTE = '<div style="font-size:12px;opacity:.65;padding:0 12px 6px;text-align:right;white-space:pre-line">{}</div>'
 
 
 @dataclass(frozen=True)

@@ -189,12 +189,14 @@ class _Axis:
     """The times that the curves of a plot share."""
 
     def __init__(self, times: Sequence[Array], held: bool) -> None:
-        self._knots = np.unique(np.concatenate(times))
+        self._knots = np.unique(np.concatenate([np.zeros(1), *times]))
         self._twice = held and len(self._knots) > 1
         self.x = np.repeat(self._knots, 2)[1:-1] if self._twice else self._knots
 
     def values(self, times: Array, values: Array, line: Line) -> Array:
         """One curve at the times of the axis; NaN beyond its end. Shape (n,)."""
+        if not len(times):
+            return np.full(len(self.x), np.nan)
         if not line.signal.group.held or len(times) < 2:
             return np.interp(self.x, times, values, right=np.nan)
         starts, of_steps, end = times[::2], values[::2], times[-1]

@@ -75,13 +75,12 @@ class PlotCard:
             "y_labels": tuple(f"[{unit}]" if unit else "" for unit in drawn.units),
             "height": self._height + round(_BAR_HEIGHT * drawn.bars),
         }
-        end = max(float(one.trajectory.times[-1]) for one in shown)
-        if self._plot is None or not self._plot.change(self._data(time), (0.0, end), drawn.ranges, look):
+        if self._plot is None or not self._plot.change(self._data(time), drawn.ranges, look):
             for element in (self._plot, self._legend):
                 if element is not None:
                     element.remove()
             with self._holder:
-                self._plot = UPlot(self._gui, self._data(time), (0.0, end), drawn.ranges, "time [s]", look)
+                self._plot = UPlot(self._gui, self._data(time), drawn.ranges, "time [s]", look)
                 self._legend = self._gui.add_html(self._legend_html(time))
         assert self._legend is not None
         self._legend.content = self._legend_html(time)
@@ -222,16 +221,15 @@ class CostPlot:
         y_range = series.value_range(values)
         self._curves[what] = (iterations, values[:, None], y_range)
         data = with_mark(iterations, values[:, None], float(iterations[-1]), y_range)
-        x_range = (0.0, max(float(iterations[-1]), 1.0))
         points = {"show": len(iterations) <= 40, "size": 5, "fill": series.COLORS[0]}
         style = {"label": label, "stroke": series.COLORS[0], "width": 1.5, "points": points}
         look = {"styles": (style,), "y_labels": (label,), "whole": True}
         plot = self._plots.get(what)
-        if plot is None or not plot.change(data, x_range, (y_range,), look):
+        if plot is None or not plot.change(data, (y_range,), look):
             if plot is not None:
                 plot.remove()
             with self._holder:
-                self._plots[what] = UPlot(self._gui, data, x_range, (y_range,), "iteration", look)
+                self._plots[what] = UPlot(self._gui, data, (y_range,), "iteration", look)
 
 
 class UPlot:
@@ -241,7 +239,6 @@ class UPlot:
         self,
         gui: viser.GuiApi,
         data: tuple[Array, ...],
-        x_range: tuple[float, float],
         ranges: Sequence[tuple[float, float]],
         x_label: str,
         look: dict[str, Any],
@@ -254,7 +251,7 @@ class UPlot:
         """
         from viser import uplot
 
-        self._look, self._ranges = look, (x_range, *ranges)
+        self._look, self._ranges, self._nudged = look, tuple(ranges), False
         lines: list[Any] = [uplot.Series(label=x_label)]
         plain: Any = {"label": "", "points": {"show": False}, "scale": "y"}
         lines += [plain | style for style in look["styles"]]
@@ -272,7 +269,7 @@ class UPlot:
         self._handle = gui.add_uplot(
             data,
             tuple(lines),
-            scales=_scales(x_range, ranges),
+            scales=_scales(ranges),
             axes=tuple(axes),
             legend=uplot.Legend(show=False),
             cursor=uplot.Cursor(show=True, points=uplot.Cursor_Points(show=False)),
@@ -283,22 +280,30 @@ class UPlot:
     def change(
         self,
         data: tuple[Array, ...],
-        x_range: tuple[float, float],
         ranges: Sequence[tuple[float, float]],
         look: dict[str, Any],
     ) -> bool:
         """Show other data in the same look; False where the look is another one, and nothing was done."""
         if look != self._look:
             return False
-        if self._ranges != (x_range, *ranges):
-            self._ranges = (x_range, *ranges)
-            self._handle.scales = _scales(x_range, ranges)
-        self._handle.data = data
+        if self._ranges != tuple(ranges):
+            self._ranges = tuple(ranges)
+            self._handle.scales = _scales(ranges)
+        self.set_data(data)
         return True
 
     def set_data(self, data: tuple[Array, ...]) -> None:
-        """Show other data on the same axes."""
-        self._handle.data = data
+        """Show other data on the same axes.
+
+        The end of x moves by a bit of its last digit each time, or uPlot (1.6) may show no numbers along it: new data
+        makes it forget to lay out axes whose size has just become known, until the scale changes.
+        """
+        x = data[0]
+        self._nudged = not self._nudged
+        if self._nudged and len(x):
+            x = x.copy()
+            x[-1] = np.nextafter(x[-1], np.inf)
+        self._handle.data = (x, *data[1:])
 
     def remove(self) -> None:
         """Take it from the page."""
@@ -318,17 +323,16 @@ def add_plot(
 ) -> None:
     """Add a plot of columns `values` (n, k) over `x` (n,) that stays as it is; its mark lies at the foot."""
     data = (x, *values.T, np.full(len(x), y_range[0]))
-    x_range = (float(x[0]), max(float(x[-1]), float(x[0]) + 1e-9))
     styles = tuple(
         {"label": label, "stroke": color, "width": 1.5} for label, color in zip(labels, series.COLORS, strict=False)
     )
-    UPlot(gui, data, x_range, (y_range,), x_label, {"styles": styles, "y_labels": (y_label,), "whole": whole})
+    UPlot(gui, data, (y_range,), x_label, {"styles": styles, "y_labels": (y_label,), "whole": whole})
 
 
-def _scales(x_range: tuple[float, float], ranges: Sequence[tuple[float, float]]) -> Any:
+def _scales(ranges: Sequence[tuple[float, float]]) -> Any:
     from viser import uplot
 
-    scales: dict[str, Any] = {"x": uplot.Scale(time=False, range=x_range)}
+    scales: dict[str, Any] = {"x": uplot.Scale(time=False)}
     return scales | {name: uplot.Scale(range=ends) for name, ends in zip(drawing.SCALES, ranges, strict=False)}
 
 

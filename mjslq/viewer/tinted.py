@@ -29,13 +29,13 @@ class TintedView:
     ) -> None:
         """Draw `scene`, whose compiled model is `model`, as the result with number `place` from 1 on."""
         self._server, self._scene, self._tint, self._place = server, scene, tint, place
-        self._pieces = geometry.pieces(model)
-        self._moves = [bool(model.body_weldid[piece.body] != 0) for piece in self._pieces]
+        pieces = geometry.pieces(model)
+        self._moving = [piece for piece in pieces if model.body_weldid[piece.body] != 0]
+        self._standing = [piece for piece in pieces if model.body_weldid[piece.body] == 0]
         self._root = server.scene.add_frame(f"/results/{place}", show_axes=False)
         self._fixed = server.scene.add_frame(f"/results/{place}/fixed", show_axes=False, visible=False)
         self._ghosts: list[tuple[int, Any]] = []
         self._movers: list[tuple[int, Any]] = []
-        self._drawn_fixed = False
 
     def follow(self, moved: Motion) -> None:
         """Take the poses of `moved` from now on."""
@@ -69,15 +69,16 @@ class TintedView:
         self._root.visible = visible
 
     def set_offset(self, offset: Array) -> None:
-        """Put all of it at `offset` (3,) [m]; away from zero it stands on fixed bodies of its own."""
+        """Put all of it at `offset` (3,) [m]; away from zero it is opaque, and stands on fixed bodies of its own."""
+        apart = bool(np.any(offset))
         self._root.position = offset
-        self._fixed.visible = bool(np.any(offset))
+        self._fixed.visible = apart
+        for piece, (_, handle) in zip(self._moving, self._movers, strict=True):
+            handle.opacity = piece.rgba[3] * (1.0 if apart else _OPACITY)
 
     def _draw(self, what: str, number: int, opacity: float) -> list[tuple[int, Any]]:
         found = []
-        for i, piece in enumerate(self._pieces):
-            if not self._moves[i]:
-                continue
+        for i, piece in enumerate(self._moving):
             handle = self._server.scene.add_batched_meshes_simple(
                 f"/results/{self._place}/{what}/{i}",
                 piece.vertices.astype(np.float32),
@@ -95,16 +96,15 @@ class TintedView:
         return found
 
     def _draw_fixed(self) -> None:
-        for i, piece in enumerate(self._pieces):
-            if not self._moves[i]:
-                self._server.scene.add_mesh_simple(
-                    f"/results/{self._place}/fixed/{i}",
-                    piece.vertices.astype(np.float32),
-                    piece.faces.astype(np.uint32),
-                    color=np.array(piece.rgba[:3]),
-                    position=self._motion.positions[0, piece.body],
-                    wxyz=self._motion.wxyzs[0, piece.body],
-                )
+        for i, piece in enumerate(self._standing):
+            self._server.scene.add_mesh_simple(
+                f"/results/{self._place}/fixed/{i}",
+                piece.vertices.astype(np.float32),
+                piece.faces.astype(np.uint32),
+                color=np.array(piece.rgba[:3]),
+                position=self._motion.positions[0, piece.body],
+                wxyz=self._motion.wxyzs[0, piece.body],
+            )
 
 
 def _pose(movers: list[tuple[int, Any]], positions: Array, wxyzs: Array) -> None:

@@ -9,6 +9,7 @@ it ends the drawing, not the solve.
 
 from __future__ import annotations
 
+import sys
 import threading
 import time as clock
 from collections.abc import Callable
@@ -167,13 +168,14 @@ class Watch(Served):
                 return
             try:
                 assert self._window is not None
+                player = Player(result, self._host, self._wanted_port)
                 self._window.clear()
-                player = Player(result, self._host, 0)
                 player.take_over(self._server)
                 self.player = player
                 self._window.frame_untouched()
             except Exception as error:  # the result is there all the same
                 self.trouble = error
+                self.stop()
 
 
 class _Window:
@@ -298,6 +300,8 @@ def watched(watch: Watch, block: bool) -> Watch:
     except BaseException:
         watch.stop()
         raise
+    if watch.trouble is not None:
+        print(f"the viewer failed, the solve did not: {watch.trouble}", file=sys.stderr)
     if block:
         stay(watch)
     return watch
