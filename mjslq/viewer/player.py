@@ -67,7 +67,7 @@ class Player(Served):
         self._iterate = max(shown) if shown else None
         self.ghosts = ("off", 0)
         """Mode and number of ghosts."""
-        self.trace = len(self._views) == 1
+        self.trace = True
         """Whether paths are shown."""
         self._wake = threading.Event()
         self._thread: threading.Thread | None = None
@@ -253,7 +253,7 @@ class Player(Served):
             self._refresh()
 
     def set_trace(self, visible: bool) -> None:
-        """Show or hide the paths of the outermost bodies, of the first one of several results."""
+        """Show or hide the paths of the outermost bodies."""
         with self._lock:
             self.trace = visible
             for view in self._views:
@@ -324,7 +324,6 @@ class Player(Served):
         if self._iterate is not None:
             self._note_iterate()
         if several and len(scenes) > 1:
-            self.set_trace(self.trace)
             self.set_layout(self.layout)
         self._show_speed()
         self._refresh()

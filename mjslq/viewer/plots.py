@@ -30,6 +30,8 @@ _BAR_HEIGHT = 5
 _LIMITS_NOTE = "dashed: limits; bars on the time axis: at a limit"
 _IN_FORCE_NOTE = "of the result; bars on the time axis: in force"
 _OF_RESULT_NOTE = "of the result, whichever iterate is shown"
+_ITERATIONS = 600
+"""Points of a curve over iterations, at most about."""
 _REMOVE = "(remove this plot)"
 _OWN = "(own choice)"
 
@@ -218,7 +220,8 @@ class CostPlot:
             plot.set_data(with_mark(iterations, values, iteration, y_range))
 
     def _draw(self, what: str, iterations: Array, values: Array, label: str) -> None:
-        y_range = series.value_range(values)
+        keep = series.thinning(values[:, None], _ITERATIONS)
+        iterations, values, y_range = iterations[keep], values[keep], series.value_range(values)
         self._curves[what] = (iterations, values[:, None], y_range)
         data = with_mark(iterations, values[:, None], float(iterations[-1]), y_range)
         points = {"show": len(iterations) <= 40, "size": 5, "fill": series.COLORS[0]}

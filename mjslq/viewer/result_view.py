@@ -17,7 +17,7 @@ from mjslq.viewer.framing import MovingBoxes
 from mjslq.viewer.motion import Motion, motion
 from mjslq.viewer.scene import SceneView
 from mjslq.viewer.signals import Registry
-from mjslq.viewer.tinted import TintedView
+from mjslq.viewer.tinted import TintedView, backdrop
 
 if TYPE_CHECKING:
     import viser
@@ -56,16 +56,16 @@ class ResultView:
         return Shown(self.result, self.trajectory, self.registry, self.color, self.label)
 
     def draw(self, server: viser.ViserServer, aspect: float, place: int) -> None:
-        """Draw it: the first one, `place` 0, with ground, light and camera; others beside or over it."""
+        """Draw it: alone, or in its colour as one of several, the first of which, `place` 0, has ground and light."""
         if self.result.scene is None:
             return
-        tint = _rgb(self.color) if self.color else None
+        if not self.color:
+            self.view = SceneView(server, self.result.scene, self.trajectory, aspect)
+            return
         if not place:
-            self.view = SceneView(server, self.result.scene, self.trajectory, aspect, tint=tint)
-        else:
-            assert tint is not None
-            self.view = TintedView(server, self.result.scene, self.model, place, tint)
-            self.view.follow(self.moved())
+            SceneView(server, backdrop(self.result.scene), self.trajectory, aspect)
+        self.view = TintedView(server, self.model, place, _rgb(self.color))
+        self.view.follow(self.moved())
 
     def close(self) -> None:
         """Forget what was drawn."""
@@ -105,17 +105,16 @@ class ResultView:
             self.view.clear_ghosts()
         else:
             self._ghosts = self._motion(self.iterate - 1 if mode == "previous" else 0)
-        self.set_visible(self.visible)
 
     def set_visible(self, visible: bool) -> None:
-        """Show or hide it in the scene."""
+        """Show or hide it in the scene, if it is one of several."""
         self.visible = visible
-        if self.view is not None:
+        if isinstance(self.view, TintedView):
             self.view.set_visible(visible)
 
     def set_trace(self, visible: bool) -> None:
         """Show or hide the paths of its outermost bodies, where it has them."""
-        if isinstance(self.view, SceneView):
+        if self.view is not None:
             self.view.set_trace(visible)
 
     def set_offset(self, offset: Array) -> None:

@@ -54,16 +54,13 @@ class SceneView:
         aspect: float = 1.0,
         *,
         recorded: bool = False,
-        tint: tuple[float, float, float] | None = None,
     ) -> None:
         """Draw `scene`, with the camera on all of `trajectory` in a window of width / height `aspect`.
-
-        What moves has the colour `tint` (red, green, blue), or its own.
 
         A `recorded` scene has plain lights: Viser's page may load an environment map anew each time that a recording
         starts over, and shows next to nothing meanwhile, on slow machines for ever.
         """
-        self._recorded, self._tint = recorded, tint
+        self._recorded = recorded
         self._server = server
         self._scene = scene
         self._model = model_from_mjb(scene.model)
@@ -119,13 +116,6 @@ class SceneView:
             trace.visible = visible
         self._trace_visible = visible
 
-    def set_visible(self, visible: bool) -> None:
-        """Show or hide what moves, ghosts and paths included; ground and fixed bodies stay."""
-        for mover in (*self._movers, *self._ghosts):
-            mover.handle.visible = visible
-        for trace in self._traces:
-            trace.visible = visible and self._trace_visible
-
     def _draw_bodies(self) -> list[_Mover]:
         positions, wxyzs = self._motion.at(0.0)
         movers = []
@@ -141,14 +131,14 @@ class SceneView:
                 **shape,
                 batched_positions=positions[None, piece.body].astype(np.float32),
                 batched_wxyzs=wxyzs[None, piece.body].astype(np.float32),
-                batched_colors=_linear_bytes(np.array(self._tint or piece.rgba[:3])),
+                batched_colors=_linear_bytes(np.array(piece.rgba[:3])),
                 lod="off",
             )
             movers.append(_Mover(piece, handle))
         return movers
 
     def _draw_ghosts(self, mover: _Mover, number: int) -> _Mover:
-        rgb = np.array(self._tint or mover.piece.rgba[:3])
+        rgb = np.array(mover.piece.rgba[:3])
         handle = self._server.scene.add_batched_meshes_simple(
             mover.handle.name.replace("/bodies/", "/ghosts/", 1),
             **_shape(mover.piece) | {"opacity": _GHOST_OPACITY * mover.piece.rgba[3]},

@@ -85,6 +85,11 @@ class Watch(Served):
             raise RuntimeError("the solve has not ended yet")
         return self._result
 
+    @property
+    def solved(self) -> bool:
+        """Whether there is a result."""
+        return self._result is not None
+
     def start(self) -> None:
         """Open the server; does nothing when running."""
         with self._lock:
@@ -212,7 +217,9 @@ class _Window:
         self._which.on_update(lambda event: show(event.target.value))
         if self._scene is not None:
             x0 = np.asarray(problem.x0)
-            self._build(Trajectory(np.stack([x0, x0]), np.zeros((1, problem.dynamics.nu)), dt=problem.dynamics.dt))
+            standing = Trajectory(np.stack([x0, x0]), np.zeros((1, problem.dynamics.nu)), dt=problem.dynamics.dt)
+            self._view = SceneView(server, self._scene, standing, ASPECT)
+            self._boxes = MovingBoxes(model_from_mjb(self._scene.model))
         self._framing = Framing(server, ASPECT)
 
     def draw(self, log: list[IterationLog], pair: tuple[IterationLog, Trajectory] | None, stopping: bool) -> None:
@@ -257,14 +264,9 @@ class _Window:
 
     def _move(self, trajectory: Trajectory) -> None:
         """Let the robot move along another iterate."""
-        if self._boxes is None:  # the first one: until now there was a pose
-            assert self._scene is not None
-            self._boxes = MovingBoxes(model_from_mjb(self._scene.model))
-            self._server.scene.reset()
-            self._build(trajectory)
-        assert self._view is not None
+        assert self._view is not None and self._boxes is not None
         moved = self._view.motion(trajectory)
-        box = None if self._boxes is None else self._boxes.around(moved)
+        box = self._boxes.around(moved)
         if box is not None:
             size = float(np.linalg.norm(box[1] - box[0]))
             if size > _GROWN * self._size:
@@ -272,10 +274,6 @@ class _Window:
                 self._framing.follow(*box)
         self._view.follow(moved)
         self._playback.duration = float(trajectory.times[-1])
-
-    def _build(self, trajectory: Trajectory) -> None:
-        assert self._scene is not None
-        self._view = SceneView(self._server, self._scene, trajectory, ASPECT)
 
 
 def _rank(entry: IterationLog) -> tuple[float, float]:
@@ -297,6 +295,11 @@ def watched(watch: Watch, block: bool) -> Watch:
         watch.start()
         print(f"{watch.kind} at {watch.url} (Ctrl-C or its Stop button ends the solve)", flush=True)
         watch.run()
+    except KeyboardInterrupt:
+        watch.stop()
+        if not watch.solved:
+            raise
+        return watch
     except BaseException:
         watch.stop()
         raise
