@@ -123,8 +123,7 @@ def solve(
     if window is not None and window.player is not None:
         from mjslq.viewer.serving import stay
 
-        print("the solve has ended; Ctrl-C closes the viewer", file=sys.stderr, flush=True)
-        stay(window)
+        stay(window, "the solve has ended; Ctrl-C closes the viewer")
     elif view and window is None:
         from mjslq.viewer import view as show
 

@@ -92,7 +92,7 @@ def sensor_kinds(model: Any) -> list[tuple[str, str]]:
         kind = mujoco.mjtSensor(model.sensor_type[sensor])
         found = by_type.get(kind, ("sensors", ""))
         if kind in of_joint:
-            turns = model.jnt_type[model.sensor_objid[sensor]] == mujoco.mjtJoint.mjJNT_HINGE
+            turns = mujoco.mjtJoint(model.jnt_type[model.sensor_objid[sensor]]) == mujoco.mjtJoint.mjJNT_HINGE
             name, rate = of_joint[kind]
             found = (name, ("rad" if turns else length) + rate)
         kinds += [found] * int(model.sensor_dim[sensor])
@@ -104,7 +104,7 @@ def position_limits(model: Any, columns: tuple[int, ...], size: int) -> tuple[li
     lower, upper = [-float("inf")] * size, [float("inf")] * size
     one_axis = (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)
     for joint in range(model.njnt):
-        if model.jnt_limited[joint] and model.jnt_type[joint] in one_axis:
+        if model.jnt_limited[joint] and mujoco.mjtJoint(model.jnt_type[joint]) in one_axis:
             entry = columns[int(model.jnt_qposadr[joint])]
             lower[entry], upper[entry] = (float(end) for end in model.jnt_range[joint])
     return lower, upper

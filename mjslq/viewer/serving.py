@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import sys
 import threading
 from abc import ABC, abstractmethod
 from typing import Self, TypeVar
@@ -86,9 +87,11 @@ def present(shown: Shown, block: bool) -> Shown:
     return shown
 
 
-def stay(shown: Served) -> None:
-    """Stay until Ctrl-C, which closes what is shown."""
+def stay(shown: Served, told: str = "") -> None:
+    """Stay until Ctrl-C, which closes what is shown; `told` goes to standard error before."""
     try:
+        if told:
+            print(told, file=sys.stderr, flush=True)
         shown.wait()
     except KeyboardInterrupt:
         shown.stop()
