@@ -84,7 +84,9 @@ class ResidualCost(BoundTerm):
         return self._loss.total(self._residual.value(trajectory))
 
     def residual_sizes(self, trajectory: Trajectory) -> Array | None:
-        """See `BoundTerm.residual_sizes`."""
+        """See `BoundTerm.residual_sizes`; None for a user's function, which is not called once more for it."""
+        if isinstance(self._residual, FunctionResidual):
+            return None
         sizes = np.full(trajectory.horizon + 1, np.nan)
         sizes[self._residual.knots.indices] = np.linalg.norm(self._residual.value(trajectory), axis=1)
         return sizes

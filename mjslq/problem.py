@@ -205,7 +205,7 @@ class Problem:
     def residual_sizes(self, trajectory: Trajectory) -> dict[str, Array]:
         """Length |r| of each cost's residual at each knot, named as by `named`; NaN where it does not act. (N + 1,)
 
-        Terms without a residual (`costs.Function`) are left out; none for a trajectory that diverged.
+        User's functions (`costs.Residual`, `costs.Function`) are left out; none for a trajectory that diverged.
         """
         if trajectory.diverged:
             return {}
