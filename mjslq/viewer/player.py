@@ -320,7 +320,7 @@ class Player(Served):
         )
         self._add_costs(gui)
         keyboard.bind(gui, keys_of(self))
-        self._plots = PlotsPanel(gui, self._views, self._times_shown, alone=not scenes)
+        self._plots = PlotsPanel(gui, self._views, self._time_shown, alone=not scenes)
         if self._iterate is not None:
             self._note_iterate()
         if several and len(scenes) > 1:
@@ -355,7 +355,7 @@ class Player(Served):
         if self._controls is not None:
             self._controls.show_results(self.layout, [view.visible for view in self._views])
 
-    def _times_shown(self) -> float:
+    def _time_shown(self) -> float:
         return self._playback.time
 
     def _show_plots(self) -> None:

@@ -41,6 +41,8 @@ class ResultView:
         self.iterate = nearest_iterate(result)
         self.visible = True
         self.view: SceneView | TintedView | None = None
+        self.stage: SceneView | None = None
+        """What has ground, light and camera, if this result drew it: its own view, or a backdrop for several."""
         self._ghosts: Motion | None = None
         self._boxes: MovingBoxes | None = None
         self._motion = lru_cache(maxsize=16)(self._iterate_motion)
@@ -60,16 +62,16 @@ class ResultView:
         if self.result.scene is None:
             return
         if not self.color:
-            self.view = SceneView(server, self.result.scene, self.trajectory, aspect)
+            self.view = self.stage = SceneView(server, self.result.scene, self.trajectory, aspect)
             return
         if not place:
-            SceneView(server, backdrop(self.result.scene), self.trajectory, aspect)
+            self.stage = SceneView(server, backdrop(self.result.scene), self.trajectory, aspect)
         self.view = TintedView(server, self.model, place, _rgb(self.color))
         self.view.follow(self.moved())
 
     def close(self) -> None:
         """Forget what was drawn."""
-        self.view, self._ghosts = None, None
+        self.view, self.stage, self._ghosts = None, None, None
 
     def moved(self) -> Motion:
         """The motion that is shown."""
