@@ -11,24 +11,16 @@ import viser
 
 from mjslq.result import Result
 from mjslq.validation import Array, choose
-from mjslq.viewer import comparison, keyboard, panels
-from mjslq.viewer.controls import GHOSTS, LAYOUTS, Actions, Controls
+from mjslq.viewer import comparison
+from mjslq.viewer.controls import GHOSTS, LAYOUTS, Controls
 from mjslq.viewer.framing import Framing
 from mjslq.viewer.playback import Playback
-from mjslq.viewer.player_keys import keys_of
-from mjslq.viewer.plots import CostPlot
+from mjslq.viewer.player_page import ASPECT, PlayerPage
 from mjslq.viewer.plots_panel import PlotsPanel
 from mjslq.viewer.scene import quiet
 from mjslq.viewer.serving import Served
 
 _FRAMES = 30.0  # sent to the browser a second
-_MARKS = 10.0  # moves of the plots' marks a second; each resends the curves
-CONTROLS_WIDTH = 330.0  # [px]
-ASPECT = 0.85  # of what the panels leave of a usual window
-_NO_SCENE = (
-    '<div style="font-size:12px;line-height:1.55;opacity:.75;padding:8px 12px">This problem has no model to draw, '
-    "so there are only its plots.</div>"
-)
 
 
 class Player(Served):
@@ -60,7 +52,8 @@ class Player(Served):
         """How they stand."""
         super().__init__(host, port)
         self._playback = Playback(self._longest.duration, playing=autoplay)
-        self._times: Array = self._longest.result.trajectory.times
+        self.times: Array = self._longest.result.trajectory.times
+        """Times of the knots, of several results those of the longest one. [s]"""
         self.iterates = max(len(view.result.iterates) for view in self._views)
         """Number of iterates kept; of several results, of the one with the most."""
         shown = [view.iterate for view in self._views if view.iterate is not None]
@@ -71,24 +64,21 @@ class Player(Served):
         """Whether paths are shown."""
         self._wake = threading.Event()
         self._thread: threading.Thread | None = None
-        self._controls: Controls | None = None
-        self._plots: PlotsPanel | None = None
-        self._cost_plot: CostPlot | None = None
-        self._marked_at = -np.inf
+        self._page: PlayerPage | None = None
 
     @property
     def controls(self) -> Controls:
         """The widgets in the browser; RuntimeError before `start` and after `stop`."""
-        if self._controls is None:
+        if self._page is None:
             raise RuntimeError("the viewer is not running; start it first")
-        return self._controls
+        return self._page.controls
 
     @property
     def plots(self) -> PlotsPanel:
         """The plots of signals; RuntimeError before `start` and after `stop`."""
-        if self._plots is None:
+        if self._page is None:
             raise RuntimeError("the viewer is not running; start it first")
-        return self._plots
+        return self._page.plots
 
     @property
     def running(self) -> bool:
@@ -133,7 +123,11 @@ class Player(Served):
     @property
     def knot(self) -> int:
         """The knot that is nearest to the time shown."""
-        return int(np.abs(self._times - self.time).argmin())
+        return self.knot_at(self.time)
+
+    def knot_at(self, time: float) -> int:
+        """The knot that is nearest to `time` [s]."""
+        return int(np.abs(self.times - time).argmin())
 
     @property
     def playing(self) -> bool:
@@ -171,7 +165,7 @@ class Player(Served):
         with self._lock:
             thread, self._thread = self._thread, None
             server, self._server = self._server, None
-            self._controls, self._cost_plot, self._plots = None, None, None
+            self._page = None
             for view in self._views:
                 view.close()
         if thread is not None and thread is not threading.current_thread():
@@ -195,14 +189,14 @@ class Player(Served):
 
     def seek_knot(self, knot: int) -> None:
         """Show a knot, the first or the last one where there are fewer, and pause."""
-        self.seek(float(self._times[int(np.clip(knot, 0, len(self._times) - 1))]))
+        self.seek(float(self.times[int(np.clip(knot, 0, len(self.times) - 1))]))
 
     def step(self, knots: int = 1) -> None:
         """Go on by so many knots, back if negative, and pause."""
         with self._lock:
             time = self._playback.time
             near = self.knot
-            between = time - self._times[near]
+            between = time - self.times[near]
             if knots > 0 and between < -1e-9 * max(time, 1.0):  # the nearest knot is still ahead: it is the next one
                 near -= 1
             elif knots < 0 and between > 1e-9 * max(time, 1.0):
@@ -231,8 +225,9 @@ class Player(Served):
             self._iterate = index
             for view in self._views:
                 view.show_iterate(index)
-            self._note_iterate()
-            self._show_plots()
+            if self._page is not None:
+                self._page.note_iterate(index)
+                self._page.plots.show(self._playback.time)
             self.set_ghosts(*self.ghosts)
 
     def step_iterate(self, iterates: int = 1) -> None:
@@ -246,8 +241,8 @@ class Player(Served):
         choose("ghost mode", mode, GHOSTS.values())
         with self._lock:
             self.ghosts = (mode, number)
-            if self._controls is not None:
-                self._controls.show_ghosts(mode, number)
+            if self._page is not None:
+                self._page.controls.show_ghosts(mode, number)
             for view in self._views:
                 view.set_ghosts(mode, number)
             self._refresh()
@@ -258,8 +253,8 @@ class Player(Served):
             self.trace = visible
             for view in self._views:
                 view.set_trace(visible)
-            if self._controls is not None:
-                self._controls.show_trace(visible)
+            if self._page is not None:
+                self._page.controls.show_trace(visible)
 
     def set_layout(self, layout: str) -> None:
         """Put several results "overlaid" or "side by side". Results of different models only stand side by side."""
@@ -288,94 +283,26 @@ class Player(Served):
                 Framing(self._server, ASPECT).frame(*box)
 
     def _build(self, server: viser.ViserServer) -> None:
-        first, gui = self._views[0], server.gui
-        gui.configure_theme(show_logo=False, show_share_button=False)
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(CONTROLS_WIDTH)
-        gui.set_panel_label("mjslq")
-        scenes = [view for view in self._views if view.result.scene is not None]
-        for place, view in enumerate(scenes):
-            view.draw(server, ASPECT, place)
-        several = len(self._views) > 1
-        if several:
-            gui.add_html(panels.comparison([(view.label, view.color, view.result) for view in self._views]))
-        else:
-            gui.add_html(panels.summary(first.result))
-        if not scenes:
-            gui.add_html(_NO_SCENE)
-        actions = Actions(
-            self.toggle, lambda time: self.seek_knot(self.controls.knot_of(time)), self.step, self.set_speed,
-            self.set_loop, self.show_iterate, self.step_iterate, self.set_ghosts, self.set_trace, self.set_layout,
-            self.set_visible,
-        )  # fmt: skip
-        self._controls = Controls(
-            gui,
-            actions,
-            times=self._times,
-            iterates=self.iterates,
-            iterate=self._iterate or 0,
-            scene=bool(scenes),
-            results=[view.label for view in self._views],
-            layouts=self.layouts,
-        )
-        self._add_costs(gui)
-        keyboard.bind(gui, keys_of(self))
-        self._plots = PlotsPanel(gui, self._views, self._time_shown, alone=not scenes)
+        self._page = PlayerPage(server, self, self._views)
         if self._iterate is not None:
-            self._note_iterate()
-        if several and len(scenes) > 1:
+            self._page.note_iterate(self._iterate)
+        if len(self._views) > 1 and self.drawn:
             self.set_layout(self.layout)
         self._show_speed()
         self._refresh()
 
-    def _add_costs(self, gui: viser.GuiApi) -> None:
-        results = [view.result for view in self._views]
-        if len(results) > 1:
-            with gui.add_folder("Comparison"):
-                comparison.add_comparison(gui, results)
-        elif len([entry for entry in results[0].log if np.isfinite(entry.cost)]):
-            with self.controls.optimization:
-                self._cost_plot = CostPlot(gui, results[0].log, bool(results[0].violations))
-            return
-        self.controls.optimization.visible = self.iterates > 1
-
-    def _note_iterate(self) -> None:
-        assert self._iterate is not None
-        if self._controls is not None:
-            self._controls.show_iterate(self._iterate, "\n".join(view.note() for view in self._views))
-        entry = self._views[0].entry
-        if self._cost_plot is not None and entry is not None:
-            self._cost_plot.mark(float(entry.iteration))
-
     def _show_speed(self) -> None:
-        if self._controls is not None:
-            self._controls.show_speed(self._playback.speed, self._playback.loop)
+        if self._page is not None:
+            self._page.controls.show_speed(self._playback.speed, self._playback.loop)
 
     def _show_results(self) -> None:
-        if self._controls is not None:
-            self._controls.show_results(self.layout, [view.visible for view in self._views])
-
-    def _time_shown(self) -> float:
-        return self._playback.time
-
-    def _show_plots(self) -> None:
-        with self._lock:
-            if self._plots is not None:
-                self._plots.show(self._playback.time)
+        if self._page is not None:
+            self._page.controls.show_results(self.layout, self.results_visible)
 
     def _refresh(self) -> None:
-        """Send where playback stands: robot and widgets each time, marks at their own pace."""
-        if self._server is None or self._controls is None:
-            return
-        time, playing = self._playback.time, self._playback.playing
-        with self._server.atomic():
-            for view in self._views:
-                view.show(time)
-            self._controls.show(time, playing)
-            now = clock.monotonic()
-            if self._plots is not None and (not playing or now - self._marked_at >= 1.0 / _MARKS):
-                self._marked_at = now
-                self._plots.mark(time)
+        """Send where playback stands."""
+        if self._page is not None:
+            self._page.show(self._playback.time, self._playback.playing)
 
     def _run(self) -> None:
         """Let time run until the end; sleeps while paused."""

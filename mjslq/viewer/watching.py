@@ -29,7 +29,8 @@ from mjslq.viewer import panels
 from mjslq.viewer.framing import Framing, MovingBoxes
 from mjslq.viewer.motion import finite_knots
 from mjslq.viewer.playback import Playback
-from mjslq.viewer.player import ASPECT, CONTROLS_WIDTH, Player
+from mjslq.viewer.player import Player
+from mjslq.viewer.player_page import ASPECT, CONTROLS_WIDTH
 from mjslq.viewer.plots import CostPlot
 from mjslq.viewer.scene import SceneView, quiet
 from mjslq.viewer.serving import Served, stay

@@ -67,9 +67,9 @@ def test_arrows_step_from_knot_to_knot_and_leave_the_camera_alone(player: Player
     camera = client.camera.position.copy()
     player.seek(0.711)  # between knots 35 and 36
     press(page, "ArrowRight")
-    assert becomes(lambda: player.time == player._times[36])
+    assert becomes(lambda: player.time == player.times[36])
     press(page, "ArrowLeft")
-    assert becomes(lambda: player.time == player._times[35])
+    assert becomes(lambda: player.time == player.times[35])
     press(page, "End")
     assert becomes(lambda: player.knot == 100)
     press(page, "Home")
@@ -101,7 +101,7 @@ def test_scrubbing_stops_at_the_knots(player: Player, page: Any) -> None:
         page.mouse.move(track["x"] + share * track["width"], height)
     page.mouse.up()
     assert becomes(lambda: 0.7 < player.time < 1.0)
-    assert player.time in player._times and not player.playing
+    assert player.time in player.times and not player.playing
     slider.focus()
     at = player.knot
     slider.press("ArrowRight")  # the slider's own key, which steps once and not twice
