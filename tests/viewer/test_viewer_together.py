@@ -183,7 +183,7 @@ def test_files_are_compared_from_the_command_line(tmp_path: Path, monkeypatch: p
     from mjslq import cli, viewer
 
     shown: list[Any] = []
-    monkeypatch.setattr(viewer, "view", lambda results, host, port: shown.append(results))
+    monkeypatch.setattr(viewer, "view", lambda results, host, port, **_: shown.append(results))
     files = [tmp_path / name for name in ("a.npz", "b.npz")]
     for file in files:
         mjslq.solve(mjslq.problems.get("van_der_pol", horizon=5), max_iterations=1).save(file)
