@@ -1,9 +1,10 @@
 """Keys of a viewer: Viser's own commands with hotkeys, a list of them on `?` and `h`, and no turning camera on arrows.
 
 Viser (1.1) has a public way to hear keys, `gui.add_command(label, hotkey=...)`, whose commands are found under Ctrl+K
-as well. Two things it has not. Its camera turns with the arrow keys, so a script, which `gui.add_html` takes into the
-page, hands arrows on to the commands alone. And a slider in focus moves with arrows, Home and End: these the script
-keeps from the commands. W, A, S, D, Q and E move Viser's camera and are left to it.
+as well. Three things it has not, for which `gui.add_html` takes a script into the page. Its camera turns with the arrow
+keys: the script hands arrows on to the commands alone. A slider in focus moves with arrows, Home and End: these it
+keeps from the commands. And boxes and menus hold the keys once they were clicked: it takes the focus from them. W, A,
+S, D, Q and E move Viser's camera and are left to it.
 """
 
 from __future__ import annotations
@@ -26,6 +27,10 @@ if (!window.mjslqKeys) {
     const slider = event.target.closest("[role=slider]");
     if (arrow || slider) event.stopPropagation();
     if (arrow && !slider) document.documentElement.dispatchEvent(new KeyboardEvent("keydown", {key: event.key}));
+  });
+  document.body.addEventListener("click", (event) => {
+    const chosen = event.target.closest("button, label, input[type=checkbox], [role=option]");
+    if (event.detail && chosen) setTimeout(() => document.activeElement.blur());
   });
 }
 """

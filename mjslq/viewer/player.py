@@ -268,12 +268,14 @@ class Player(Served):
             self.frame()
 
     def set_visible(self, place: int, visible: bool) -> None:
-        """Show or hide one of several results in the scene, by its place in the list."""
+        """Show or hide one of several results, in scene and plots, by its place in the list."""
         if not 0 <= place < len(self._views):
             raise ValueError(f"there are {len(self._views)} results, got place {place}")
         with self._lock:
             self._views[place].set_visible(visible)
             self._show_results()
+            if self._page is not None:
+                self._page.plots.show(self._playback.time)
 
     def frame(self) -> None:
         """Point the camera at the whole motion, of all results."""

@@ -160,7 +160,7 @@ class PlotCard:
 
     def _legend_html(self, time: float) -> str:
         assert self._drawn is not None
-        several = len(self._shown) > 1
+        several = any(one.label for one in self._shown)
         entries = []
         for line in self._drawn.lines:
             value = series.values_at(line.shown.trajectory, line.signal.group, time)[0]

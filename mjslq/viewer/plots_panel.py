@@ -87,7 +87,8 @@ class PlotsPanel:
                 card.mark(time)
 
     def _shown(self) -> list[Any]:
-        return [view.shown for view in self._views]
+        visible = [view.shown for view in self._views if view.visible]
+        return visible or [view.shown for view in self._views]
 
     def _changed(self) -> None:
         self.show(self._time())

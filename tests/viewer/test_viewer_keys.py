@@ -108,6 +108,13 @@ def test_scrubbing_stops_at_the_knots(player: Player, page: Any) -> None:
     assert becomes(lambda: player.knot != at) and player.knot == at + 1
 
 
+def test_keys_are_heard_after_a_box_was_clicked(player: Player, page: Any) -> None:
+    page.get_by_label("Loop").click()
+    assert becomes(lambda: not player.loop)
+    page.keyboard.press("l")
+    assert becomes(lambda: player.loop)
+
+
 def test_speed_loop_and_ghosts_have_keys(player: Player, page: Any) -> None:
     press(page, "]", "l", "g")
     assert becomes(lambda: player.speed == 2.0 and not player.loop and player.ghosts[0] == "along")

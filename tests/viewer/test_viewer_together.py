@@ -72,6 +72,10 @@ def test_each_result_has_a_colour_and_can_be_hidden(player: Player) -> None:
     root = player.server.scene.get_handle_by_name("/results/1")
     assert root is not None and not root.visible and not player.controls.visible[1].value
     assert player.results_visible == [True, False, True]
+    assert {line.shown.label for card in player.plots.cards for line in card._drawn.lines} == {  # type: ignore[union-attr]
+        "two links slq", "a <b> & c gradient"
+    }  # fmt: skip
+    player.set_visible(1, True)
     with pytest.raises(ValueError, match="there are 3 results, got place 3"):
         player.set_visible(3, False)
     colors = {line.color for card in player.plots.cards for line in card._drawn.lines}  # type: ignore[union-attr]
