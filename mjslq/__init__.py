@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from mjslq.viewer import export_html as export_html
     from mjslq.viewer import live as live
     from mjslq.viewer import view as view
+    from mjslq.viewer import watch as watch
 
 numba_cache.provide()
 
@@ -95,6 +96,7 @@ _HOME = {
     "solve": "mjslq.optimize",
     "solve_many": "mjslq.batch",
     "view": "mjslq.viewer",
+    "watch": "mjslq.viewer",
 }
 
 _MODULES = ("clips", "constraints", "costs", "lq", "problems", "simulation", "starts")

@@ -39,6 +39,10 @@ class BoundTerm(ABC):
     def cost(self, trajectory: Trajectory) -> float:
         """Sum of the term over the knots."""
 
+    def residual_sizes(self, trajectory: Trajectory) -> Array | None:
+        """Length of the term's residual at each knot, NaN where it does not act; None without one. Shape (N + 1,)."""
+        return None
+
     def prepare(self, into: Expansion) -> None:
         """Add what is the same along every trajectory: often nothing."""
         return
@@ -114,6 +118,14 @@ class ResidualCost(KnotTerm):
     def values(self, trajectory: Trajectory) -> Array:
         """See `KnotTerm.values`."""
         return self._loss.value(self._residual.value(trajectory))
+
+    def residual_sizes(self, trajectory: Trajectory) -> Array | None:
+        """See `BoundTerm.residual_sizes`; None for a user's function, which is not called once more for it."""
+        if isinstance(self._residual, FunctionResidual):
+            return None
+        sizes = np.full(trajectory.horizon + 1, np.nan)
+        sizes[self._residual.knots.indices] = np.linalg.norm(self._residual.value(trajectory), axis=1)
+        return sizes
 
     def prepare(self, into: Expansion) -> None:
         """See `BoundTerm.prepare`."""

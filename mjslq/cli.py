@@ -113,6 +113,7 @@ def solve(
     settings: Settings = None,
     save: Annotated[Path | None, typer.Option(help="Write the result to this .npz file.")] = None,
     view: View = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Show the solve in a browser while it runs.")] = False,
     host: Host = "127.0.0.1",
     port: Port = 8080,
     dark: Dark = False,
@@ -122,7 +123,7 @@ def solve(
     """Solve a problem: a line an iteration while it works, a summary after."""
     if save is not None:
         refuse_unwritable(save)
-    if view:
+    if view or watch:
         refuse_address(host, port)
     announce(quiet)
     from mjslq.optimize import solve as run
@@ -131,7 +132,13 @@ def solve(
     stated, method, options = tasks.posed(problem, method, settings or [])
     if preset is not None:
         options["preset"] = preset
-    result = run(stated, method, verbose=0 if quiet else 1, stream=sys.stderr, **options)
+    options |= {"verbose": 0 if quiet else 1, "stream": sys.stderr}
+    window = None
+    if watch:
+        from mjslq.viewer import watch as watching
+
+        window = watching(stated, method, host, port, block=False, dark=dark, **options)
+    result = run(stated, method, **options) if window is None else window.result
     if save is not None:
         keep(result, save)  # before anything is printed, which may fail
     if as_json:
@@ -142,7 +149,11 @@ def solve(
         print(f"mjslq: {result.message}", file=sys.stderr)
     if save is not None and not quiet:
         print(f"saved to {save}", file=sys.stderr)
-    if view:
+    if window is not None and window.player is not None:
+        from mjslq.viewer.serving import stay
+
+        stay(window, "the solve has ended; Ctrl-C closes the viewer")
+    elif view and window is None:
         from mjslq.viewer import view as show
 
         show(result, host, port, dark=dark)
@@ -151,13 +162,20 @@ def solve(
 
 @app.command()
 def view(
-    file: Annotated[Path, typer.Argument(help="A result that `solve --save` wrote, or a model (.xml, .urdf, .mjb).")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="Results that `solve --save` wrote, or a model (.xml, .urdf, .mjb)."),
+    ],
     host: Host = "127.0.0.1",
     port: Port = 8080,
     dark: Dark = False,
 ) -> None:
-    """Show a saved result in a browser; or a model, with its keyframes and a slider for each joint."""
-    if file.suffix.lower() in MODELS:
+    """Show a saved result in a browser, or several to compare; or a model, with its keyframes and joint sliders."""
+    models = [file for file in files if file.suffix.lower() in MODELS]
+    if models and len(files) > 1:
+        raise ValueError(f"a model is viewed alone, and {models[0]} is one; results can be compared, up to eight")
+    if models:
+        file = models[0]
         from mjslq.dynamics.mujoco import MujocoDynamics
         from mjslq.viewer.model_view import view_model
 
@@ -166,7 +184,7 @@ def view(
     from mjslq.result import load
     from mjslq.viewer import view as show
 
-    show(load(file), host, port, dark=dark)
+    show([load(file) for file in files], host, port, dark=dark)
 
 
 @app.command()
@@ -183,7 +201,7 @@ def compare(
     dark: Dark = False,
 ) -> None:
     """Solve a problem by every method from the same start: one table, one plot."""
-    if view:
+    if view or watch:
         refuse_address(host, port)
     announce(quiet=False)
     from mjslq import problems
@@ -215,8 +233,7 @@ def compare(
     if view:
         from mjslq.viewer import view as show
 
-        best, *others = sorted((entry.result for entry in entries), key=lambda result: result.cost)
-        show(best, host, port, beside=others, dark=dark)
+        show([entry.result for entry in entries], host, port, dark=dark)
 
 
 for _command in (

@@ -32,6 +32,7 @@ from mjslq.solvers.monitor import Monitor
 from mjslq.solvers.newton import Newton
 from mjslq.solvers.slq import SLQ
 from mjslq.solvers.trust_region import TrustRegion
+from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, choose, count, describe, flag, function, instance
 
 
@@ -165,6 +166,7 @@ def solve(
     preset: str | None = None,
     verbose: int = 0,
     callback: Callable[[IterationLog], object] | None = None,
+    watcher: Callable[[IterationLog, Trajectory], object] | None = None,
     check_derivatives: bool = False,
     keep_iterates: bool = True,
     stream: TextIO | None = None,
@@ -201,6 +203,8 @@ def solve(
         0 is silent, 1 prints a line an iteration.
     callback : callable
         Called with each `IterationLog`; stops the solve by returning True.
+    watcher : callable
+        As `callback`, with the `Trajectory` that the entry is about as a second argument; see `mjslq.watch`.
     check_derivatives : bool
         Compare the engine's Jacobians with a fine reference along the start, and refuse to go on with wrong ones.
     keep_iterates : bool
@@ -269,7 +273,9 @@ def solve(
         takers = [name for name, entry in METHODS.items() if entry.takes_states]
         raise ValueError(f"method {method!r} takes no state guess X0; these do: {', '.join(takers)}")
     with CompileClock() as compiling, Interrupts() as interrupts:
-        monitor = Monitor(verbose, callback, keep_iterates, sys.stdout if stream is None else stream, compiling)
+        monitor = Monitor(
+            verbose, callback, watcher, keep_iterates, sys.stdout if stream is None else stream, compiling
+        )
         if check_derivatives:
             _refuse_wrong_derivatives(problem, start.U)
         if start.X is None:
@@ -362,6 +368,14 @@ def _refuse_wrong_derivatives(problem: Problem, U: Any) -> None:
         )
 
 
+def _residuals(problem: Problem, iterate: Iterate) -> dict[str, Array]:
+    """Sizes of the cost's residuals; empty where they cannot be had, since a result is not to be lost for them."""
+    try:
+        return problem.unpenalized.residual_sizes(iterate.trajectory)
+    except Exception:  # a user's function, which has failed already
+        return {}
+
+
 def _result(
     outcome: Outcome, monitor: Monitor, problem: Problem, method: str, options: dict[str, Any], remarks: list[str]
 ) -> Result:
@@ -383,6 +397,8 @@ def _result(
         knots={c.name: c.seen_at for c in problem.bound_constraints},
         cost_terms={} if iterate.trajectory.diverged else problem.unpenalized.named(iterate.terms),
         gradient=iterate.projected_gradient if math.isfinite(outcome.gradient_norm) else None,
+        costates=iterate.costates if math.isfinite(outcome.gradient_norm) else None,
+        residuals={} if outcome.lean else _residuals(problem, iterate),
         log=tuple(monitor.log),
         iterates=tuple(monitor.iterates),
         seconds=monitor.seconds,

@@ -312,13 +312,29 @@ class Problem:
 
     def named(self, costs_of_terms: Sequence[float]) -> dict[str, float]:
         """Cost of each term by what it is and where it acts; equal ones are numbered from the second on."""
-        found: dict[str, float] = {}
-        for term, cost in zip(self._terms, costs_of_terms, strict=False):  # penalties may come after
+        return dict(zip(self._labels(), costs_of_terms, strict=False))  # penalties may come after
+
+    def residual_sizes(self, trajectory: Trajectory) -> dict[str, Array]:
+        """Length |r| of each cost's residual at each knot, named as by `named`; NaN where it does not act. (N + 1,)
+
+        User's functions (`costs.Residual`, `costs.Function`) are left out; none for a trajectory that diverged.
+        """
+        if trajectory.diverged:
+            return {}
+        sizes = {
+            label: term.residual_sizes(trajectory) for label, term in zip(self._labels(), self._terms, strict=True)
+        }
+        return {label: size for label, size in sizes.items() if size is not None}
+
+    def _labels(self) -> list[str]:
+        """What each term is and where it acts; equal ones are numbered from the second on."""
+        found: list[str] = []
+        for term in self._terms:
             label, number = term.label, 1
             while label in found:
                 number += 1
                 label = f"{term.label} ({number})"
-            found[label] = cost
+            found.append(label)
         return found
 
     def expand(self, trajectory: Trajectory, linearization: Linearization | None = None) -> Expansion:

@@ -93,6 +93,12 @@ class Result:
     gradient: Array | None = None
     """Projected gradient dJ/dU at `trajectory`; with constraints, the one of the Lagrangian. None where derivatives
     fail. Shape (N, nu)."""
+    costates: Array | None = None
+    """Costates dJ/dx_n at `trajectory`, in tangent directions of the state; with constraints, those of the Lagrangian.
+    None where derivatives fail. Shape (N + 1, ndx)."""
+    residuals: dict[str, Array] = field(default_factory=dict)
+    """Length of the residual of each term of the cost at each knot, named as in `cost_terms`: tracking errors and such,
+    but for user's functions. NaN where the term does not act. Shape (N + 1,)."""
     contact: Contact | None = None
     """How hard bodies touched in the model that it was solved with; None where the engine knows no contacts."""
     unknowns: dict[str, float] = field(default_factory=dict)

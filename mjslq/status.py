@@ -71,5 +71,5 @@ _MESSAGES = {
         "all of those that were found. As far as they tell this is a minimum; to look further, smooth the contacts or "
         "perturb the controls."
     ),
-    Status.STOPPED: "The callback asked to stop; this is the best iterate so far.",
+    Status.STOPPED: "A callback, or the Stop button of a viewer, asked to stop; this is the best iterate so far.",
 }

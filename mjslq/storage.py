@@ -2,8 +2,8 @@
 
     header        JSON: the format's version, the status, the log, all that is no array
     arrays        gains, lower, upper; trajectory_X, ..., iterates_X, ... (stacked; states between the knots only of
-                  the trajectory); violations, multipliers and their knots by name; the scene's model; the state's
-                  rotations
+                  the trajectory); violations, multipliers and their knots, residuals, by name; costates; the
+                  scene's model; the state's rotations
 
 Files of another version are refused in one sentence.
 """
@@ -38,7 +38,7 @@ PLAIN = (
     "unknowns",
 )  # fmt: skip
 """Fields that JSON holds as they are."""
-NAMED = ("violations", "multipliers", "knots")
+NAMED = ("violations", "multipliers", "knots", "residuals")
 """Fields that are arrays by name."""
 _DAMAGED = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError)
 """What parts of a file raise that do not fit together."""
@@ -50,7 +50,7 @@ _GROUPS: dict[str, Group] = {type(group).__name__: group for group in (ROTATION,
 def save(result: Result, path: str | os.PathLike[str]) -> None:
     """Write `result` to `path`; see `Result.save`."""
     arrays: dict[str, Any] = {"lower": result.lower, "upper": result.upper}
-    for name in ("gains", "gradient"):
+    for name in ("gains", "gradient", "costates"):
         if getattr(result, name) is not None:
             arrays[name] = getattr(result, name)
     arrays |= _pack("trajectory", [result.trajectory])
@@ -132,6 +132,7 @@ def _fields_of(header: dict[str, Any], arrays: dict[str, Array]) -> dict[str, An
         iterates=_unpack("iterates", arrays) if "iterates_X" in arrays else (),
         gains=arrays.get("gains"),
         gradient=arrays.get("gradient"),
+        costates=arrays.get("costates"),
         lower=arrays["lower"],
         upper=arrays["upper"],
         space=unpack_space(arrays),

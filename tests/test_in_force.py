@@ -11,6 +11,8 @@ from mjslq import solve
 from mjslq.reports import in_force
 from mjslq.reports.tables import as_dict, print_summary
 from mjslq.viewer import panels, series
+from mjslq.viewer.drawing import Shown, draw
+from mjslq.viewer.signals import Registry
 
 
 @pytest.fixture(scope="module")
@@ -62,10 +64,11 @@ def test_plots_of_multipliers_and_violations(result):
     found = series.limits(result, result.trajectory, multipliers)
     assert found is not None and found.lines() == []
     np.testing.assert_array_equal(found.active, values != 0.0)
-    drawn = panels.Curves.of(result, result.trajectory, multipliers)
-    assert drawn.bars == 2 and drawn.y_range[0] < values.min()
+    registry = Registry(result)
+    drawn = draw([Shown(result, result.trajectory, registry)], registry.groups["Constraints: multipliers"])
+    assert drawn.bars == 2 and drawn.ranges[0][0] < values.min()
     assert dict(panels.facts(result))["in force"].startswith("wall at knots")
-    iterations, worst = series.violations(result)
+    iterations, worst = series.violations(result.log)
     assert len(iterations) == len(result.log) and worst[-1] == result.constraint_violation
 
 

@@ -1,4 +1,4 @@
-"""Units of the states and controls of a compiled MuJoCo model, for tables and plots."""
+"""Units of the states, controls and sensors of a compiled MuJoCo model, for tables and plots."""
 
 from __future__ import annotations
 
@@ -68,3 +68,43 @@ def control_kinds(model: Any) -> list[tuple[str, str]]:
         kind = ({"N": "forces", "Nm": "torques"}.get(unit, "controls"), unit)
         kinds += [kind] * int(model.actuator_ctrlnum[actuator])
     return kinds
+
+
+def sensor_kinds(model: Any) -> list[tuple[str, str]]:
+    """Return (kind, unit) of each reading of the sensors; "sensors" without a unit where the type does not tell."""
+    length, types = length_unit(model), mujoco.mjtSensor
+    of_joint = {types.mjSENS_JOINTPOS: ("positions", ""), types.mjSENS_JOINTVEL: ("velocities", "/s")}
+    known = {
+        (types.mjSENS_TOUCH, types.mjSENS_FORCE, types.mjSENS_ACTUATORFRC): ("forces", "N"),
+        (types.mjSENS_TORQUE,): ("torques", "Nm"),
+        (types.mjSENS_FRAMEPOS, types.mjSENS_SUBTREECOM): ("positions", length),
+        (types.mjSENS_FRAMELINVEL, types.mjSENS_VELOCIMETER, types.mjSENS_SUBTREELINVEL): ("velocities", f"{length}/s"),
+        (types.mjSENS_FRAMEANGVEL, types.mjSENS_GYRO, types.mjSENS_BALLANGVEL): ("angular velocities", "rad/s"),
+        (types.mjSENS_ACCELEROMETER, types.mjSENS_FRAMELINACC): ("accelerations", f"{length}/s\u00b2"),
+        (types.mjSENS_FRAMEANGACC,): ("angular accelerations", "rad/s\u00b2"),
+        (types.mjSENS_FRAMEQUAT, types.mjSENS_BALLQUAT): ("quaternions", ""),
+        (types.mjSENS_FRAMEXAXIS, types.mjSENS_FRAMEYAXIS, types.mjSENS_FRAMEZAXIS): ("directions", ""),
+        (types.mjSENS_RANGEFINDER, types.mjSENS_TENDONPOS, types.mjSENS_GEOMDIST): ("distances", length),
+    }
+    by_type = {entry: kind for entries, kind in known.items() for entry in entries}
+    kinds: list[tuple[str, str]] = []
+    for sensor in range(model.nsensor):
+        kind = mujoco.mjtSensor(model.sensor_type[sensor])
+        found = by_type.get(kind, ("sensors", ""))
+        if kind in of_joint:
+            turns = mujoco.mjtJoint(model.jnt_type[model.sensor_objid[sensor]]) == mujoco.mjtJoint.mjJNT_HINGE
+            name, rate = of_joint[kind]
+            found = (name, ("rad" if turns else length) + rate)
+        kinds += [found] * int(model.sensor_dim[sensor])
+    return kinds
+
+
+def position_limits(model: Any, columns: tuple[int, ...], size: int) -> tuple[list[float], list[float]]:
+    """Return the ranges of the joints with one axis, by the entry of the state; infinite for all other entries."""
+    lower, upper = [-float("inf")] * size, [float("inf")] * size
+    one_axis = (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)
+    for joint in range(model.njnt):
+        if model.jnt_limited[joint] and mujoco.mjtJoint(model.jnt_type[joint]) in one_axis:
+            entry = columns[int(model.jnt_qposadr[joint])]
+            lower[entry], upper[entry] = (float(end) for end in model.jnt_range[joint])
+    return lower, upper

@@ -19,6 +19,7 @@ class Monitor:
 
     verbose: int = 0
     callback: Callable[[IterationLog], object] | None = None
+    watcher: Callable[[IterationLog, Trajectory], object] | None = None
     keep_iterates: bool = True
     stream: TextIO = field(default_factory=lambda: sys.stdout)
     compiling: CompileClock = field(default_factory=CompileClock)
@@ -29,7 +30,7 @@ class Monitor:
     started: float = field(default_factory=time.perf_counter)
 
     def record(self, entry: IterationLog, trajectory: Trajectory) -> bool:
-        """Keep an entry, print it, tell the callback; True when the callback asks to stop."""
+        """Keep an entry, print it, tell watcher and callback; True when one of them asks to stop."""
         self.log.append(entry)
         self.steps += entry.outcome == "accepted"
         if self.keep_iterates:
@@ -37,7 +38,8 @@ class Monitor:
         if (len(self.log) - 1) % 20 == 0:
             self.say(_HEADER)
         self.say(_line(entry))
-        return bool(self.callback is not None and self.callback(entry))
+        stop = bool(self.watcher is not None and self.watcher(entry, trajectory))
+        return bool(self.callback is not None and self.callback(entry)) or stop
 
     def say(self, line: str) -> None:
         """Print a line if `verbose`; a stream that cannot be written to any more ends that, and not the solve."""

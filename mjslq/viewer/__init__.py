@@ -13,40 +13,87 @@ from mjslq.result import Result
 
 if TYPE_CHECKING:
     from mjslq.mpc import MPC
+    from mjslq.problem import Problem
     from mjslq.viewer.live_view import Live
     from mjslq.viewer.player import Player as Player
+    from mjslq.viewer.watching import Watch
 
-__all__ = ["Player", "export_html", "live", "view"]
+__all__ = ["Player", "export_html", "live", "view", "watch"]
 
 
 def view(
-    result: Result,
+    result: Result | Sequence[Result],
     host: str = "127.0.0.1",
     port: int = 8080,
     block: bool = True,
     beside: Sequence[Result] = (),
     dark: bool = False,
 ) -> Player:
-    """Show `result` in a browser: the motion, its plots, and the iterations that led to it.
+    """Show `result` in a browser: the motion, its plots, and the iterations that led to it; `?` lists the keys.
 
     Parameters
     ----------
-    result
-        Of `mjslq.solve` or `mjslq.load`; needs no solver. Without a scene there are only plots.
+    result : Result or sequence of Result
+        Of `mjslq.solve` or `mjslq.load`; needs no solver. Without a scene there are only plots. Several results, at
+        most eight, are compared: each in one colour, on one clock, over each other or side by side, with their curves
+        in the same plots. Results of different models stand side by side.
     host, port
         Where to serve; a port that is taken gives way to the next free one, and the one in use is printed.
-    block
+    block : bool
         Stay until Ctrl-C. Otherwise return at once; the caller stops the `Player` returned.
-    beside
-        Results of other methods on the same problem: their costs are plotted with this one's.
-    dark
+    beside : sequence of Result
+        More results to compare with the first, as if they were in one list with it.
+    dark : bool
         Whether the page is dark at first; it has a switch.
 
+    Raises
+    ------
+    ValueError
+        For what is no result, more than eight of them, and an address of another machine.
     """
     from mjslq.viewer.player import Player
     from mjslq.viewer.serving import present
 
     return present(Player(result, host, port, beside=beside, dark=dark), block)
+
+
+def watch(
+    problem: Problem,
+    method: str = "auto",
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    block: bool = True,
+    dark: bool = False,
+    **options: Any,
+) -> Watch:
+    """Solve `problem` and show it in a browser while it runs: iterates stream in, and a button stops the solve.
+
+    When the solve ends its window plays the result, as `view` does.
+
+    Parameters
+    ----------
+    problem, method, **options
+        As those of `mjslq.solve`.
+    host, port
+        Where to serve, as for `view`.
+    block : bool
+        Stay until Ctrl-C when the solve has ended. Otherwise return then; the caller stops the `Watch` returned.
+    dark : bool
+        Whether the page is dark at first.
+
+    Returns
+    -------
+    Watch
+        Its `result` is the `Result`. Stop and Ctrl-C during the solve lose nothing: it is the best iterate, then.
+
+    Raises
+    ------
+    ValueError
+        As `mjslq.solve` and `view` do.
+    """
+    from mjslq.viewer.watching import Watch, watched
+
+    return watched(Watch(problem, method, host, port, dark=dark, **options), block)
 
 
 def live(

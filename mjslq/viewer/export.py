@@ -88,7 +88,7 @@ def _data(result: Result, model: Any) -> dict[str, Any]:
         groups = [_group(result, group) for group in series.groups(result, kind, model)]
         if groups:
             kinds.append({"title": title, "groups": groups})
-    iterations, costs = series.costs(result)
+    iterations, costs = series.costs(result.log)
     return {
         "duration": float(result.trajectory.times[-1]),
         "rest": _REST,
@@ -117,7 +117,7 @@ def _group(result: Result, group: series.Group) -> dict[str, Any]:
         told["range"] = series.range_with_limits(values, [line for line, _ in lines])
         told["lines"] = [{"y": _numbers(line[keep]), "curve": curve} for line, curve in lines]
         steps = found.active[::2]  # curves give each step at both its ends
-        if group.kind == "constraints":  # which are given at the knots
+        if not group.held:  # and others at the knots
             steps = found.active[:-1] | found.active[1:]
         bars = [{"curve": i, "spans": limits.spans(column, trajectory.times)} for i, column in enumerate(steps.T)]
         told["bars"] = [bar for bar in bars if bar["spans"]]

@@ -54,6 +54,7 @@ class Look:
         """Turn the page and the scene dark or light."""
         self._gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark)
         self._view.set_dark(dark)
+        self.dark.value = dark
         if self._on_dark is not None:
             self._on_dark(dark)
 

@@ -1,43 +1,30 @@
-"""`Player`: a result in a browser window, with time, iterations, ghosts and plots."""
+"""`Player`: a result in a browser window, with time, iterations, ghosts and plots; or several, on one clock."""
 
 from __future__ import annotations
 
 import threading
 import time as clock
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 import viser
 
-from mjslq.reports.units import model_from_mjb
 from mjslq.result import Result
-from mjslq.validation import choose, count
-from mjslq.viewer import panels, series
-from mjslq.viewer.controls import GHOSTS, Actions, Controls
-from mjslq.viewer.look import Look
-from mjslq.viewer.motion import Motion
+from mjslq.validation import Array, choose
+from mjslq.viewer import comparison
+from mjslq.viewer.controls import GHOSTS, LAYOUTS, Controls
+from mjslq.viewer.framing import Framing
 from mjslq.viewer.playback import Playback
-from mjslq.viewer.scene import SceneView, quiet
+from mjslq.viewer.player_page import ASPECT, PlayerPage
+from mjslq.viewer.plots_panel import PlotsPanel
+from mjslq.viewer.scene import quiet
 from mjslq.viewer.serving import Served
 
 _FRAMES = 60.0  # sent to the browser a second
-_MARKS = 10.0  # moves of the plots' marks a second; each resends the curves
-_PLOTS_WIDTH, _CONTROLS_WIDTH = 390.0, 330.0  # [px]
-_ASPECT = 0.85  # of what the panels leave of a usual window
-_AFTERWARDS = {
-    "accepted": ", then a step of {}",
-    "rejected": ", then a trial that was rejected",
-    "failed": ", then no step was found",
-}
-_NO_SCENE = (
-    '<div style="font-size:12px;line-height:1.55;opacity:.75;padding:8px 12px">This problem has no model to draw, '
-    "so there are only its plots.</div>"
-)
 
 
 class Player(Served):
-    """A Viser server that plays one result; a context manager, or `start` and `stop`.
+    """A Viser server that plays results; a context manager, or `start` and `stop`.
 
     Everything that moves it, from Python or from the browser, goes through one lock, so that a frame is never
     half of one state and half of another.
@@ -45,7 +32,7 @@ class Player(Served):
 
     def __init__(
         self,
-        result: Result,
+        result: Result | Sequence[Result],
         host: str = "127.0.0.1",
         port: int = 8080,
         *,
@@ -53,39 +40,51 @@ class Player(Served):
         beside: Sequence[Result] = (),
         dark: bool = False,
     ) -> None:
-        """Prepare to show `result` at `host`:`port`, or at the next free port; `start` opens it.
+        """Prepare to show `result`, or several of them, at `host`:`port`, or at the next free port; `start` opens it.
 
-        Results `beside` it, of other methods on the same problem, are compared with it by their costs.
+        Results `beside` it are compared with it as if they were given in one list. The page is `dark` at first, or
+        light; it has a switch.
         """
-        if not isinstance(result, Result):
-            raise ValueError(f"a viewer shows a Result of mjslq.solve or mjslq.load, got {type(result).__name__}")
-        self._result = result
-        self._beside = tuple(beside)
-        self._dark = bool(dark)
-        super().__init__(host, port)
-        self._playback = Playback(float(result.trajectory.times[-1]), playing=autoplay)
-        self._model = None if result.scene is None else model_from_mjb(result.scene.model)
-        self._trajectory = result.trajectory
-        self._iterate = _nearest_iterate(result)
-        self._ghosts = ("off", 0)
-        self._ghost_motion: Motion | None = None
-        self._motion = lru_cache(maxsize=16)(self._iterate_motion)
-        self._wake = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._view: SceneView | None = None
-        self._controls: Controls | None = None
-        self._plots: list[panels.SignalPlot] = []
-        self._cost_plot: panels.CostPlot | None = None
-        self._marked_at = -np.inf
+        self.dark = bool(dark)
+        """Whether the page is dark."""
         self.frames = 0
         """How many frames were sent so far."""
+        given = list(result) if isinstance(result, Sequence) else [result]
+        self._views = comparison.views_of([*given, *beside])
+        self._longest = max(self._views, key=lambda view: view.duration)
+        self.layouts = comparison.layouts(self._views)
+        """How the results can stand in the scene, of "overlaid" and "side by side"."""
+        self.layout = self.layouts[0]
+        """How they stand."""
+        super().__init__(host, port)
+        self._playback = Playback(self._longest.duration, playing=autoplay)
+        self.times: Array = self._longest.result.trajectory.times
+        """Times of the knots, of several results those of the longest one. [s]"""
+        self.iterates = max(len(view.result.iterates) for view in self._views)
+        """Number of iterates kept; of several results, of the one with the most."""
+        shown = [view.iterate for view in self._views if view.iterate is not None]
+        self._iterate = max(shown) if shown else None
+        self.ghosts = ("off", 0)
+        """Mode and number of ghosts."""
+        self.trace = True
+        """Whether paths are shown."""
+        self._wake = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._page: PlayerPage | None = None
 
     @property
     def controls(self) -> Controls:
         """The widgets in the browser; RuntimeError before `start` and after `stop`."""
-        if self._controls is None:
+        if self._page is None:
             raise RuntimeError("the viewer is not running; start it first")
-        return self._controls
+        return self._page.controls
+
+    @property
+    def plots(self) -> PlotsPanel:
+        """The plots of signals; RuntimeError before `start` and after `stop`."""
+        if self._page is None:
+            raise RuntimeError("the viewer is not running; start it first")
+        return self._page.plots
 
     @property
     def running(self) -> bool:
@@ -96,6 +95,45 @@ class Player(Served):
     def time(self) -> float:
         """Time shown, in [s]."""
         return self._playback.time
+
+    @property
+    def duration(self) -> float:
+        """Length of the motion, of several results the longest one. [s]"""
+        return self._playback.duration
+
+    @property
+    def speed(self) -> float:
+        """Seconds of motion a second."""
+        return self._playback.speed
+
+    @property
+    def loop(self) -> bool:
+        """Whether it starts over at the end."""
+        return self._playback.loop
+
+    @property
+    def labels(self) -> list[str]:
+        """What tells several results apart."""
+        return [view.label for view in self._views]
+
+    @property
+    def results_visible(self) -> list[bool]:
+        """Whether each of the results is shown in the scene."""
+        return [view.visible for view in self._views]
+
+    @property
+    def drawn(self) -> bool:
+        """Whether there is a scene."""
+        return any(view.view is not None for view in self._views)
+
+    @property
+    def knot(self) -> int:
+        """The knot that is nearest to the time shown."""
+        return self.knot_at(self.time)
+
+    def knot_at(self, time: float) -> int:
+        """The knot that is nearest to `time` [s]."""
+        return int(np.abs(self.times - time).argmin())
 
     @property
     def playing(self) -> bool:
@@ -110,9 +148,14 @@ class Player(Served):
     def start(self) -> None:
         """Open the server and, with `autoplay`, play; does nothing when running."""
         with self._lock:
-            if self._server is not None:
-                return
-            server = self._open()
+            if self._server is None:
+                self.take_over(self._open())
+
+    def take_over(self, server: viser.ViserServer) -> None:
+        """Show in a server that is open and empty; `stop` closes it."""
+        with self._lock:
+            self._server = server
+            self._ended.clear()
             try:
                 self._build(server)
             except BaseException:
@@ -128,7 +171,9 @@ class Player(Served):
         with self._lock:
             thread, self._thread = self._thread, None
             server, self._server = self._server, None
-            self._view, self._controls, self._cost_plot, self._plots = None, None, None, []
+            self._page = None
+            for view in self._views:
+                view.close()
         if thread is not None and thread is not threading.current_thread():
             thread.join()
         if server is not None:
@@ -148,147 +193,132 @@ class Player(Served):
             self._playback.seek(time)
             self._refresh()
 
+    def seek_knot(self, knot: int) -> None:
+        """Show a knot, the first or the last one where there are fewer, and pause."""
+        self.seek(float(self.times[int(np.clip(knot, 0, len(self.times) - 1))]))
+
+    def step(self, knots: int = 1) -> None:
+        """Go on by so many knots, back if negative, and pause."""
+        with self._lock:
+            time = self._playback.time
+            near = self.knot
+            between = time - self.times[near]
+            if knots > 0 and between < -1e-9 * max(time, 1.0):  # the nearest knot is still ahead: it is the next one
+                near -= 1
+            elif knots < 0 and between > 1e-9 * max(time, 1.0):
+                near += 1
+            self.seek_knot(near + knots)
+
     def set_speed(self, speed: float) -> None:
         """Play `speed` seconds of motion a second."""
         if not speed > 0.0:
             raise ValueError(f"speed must be positive, got {speed}")
         with self._lock:
             self._playback.speed = float(speed)
+            self._show_speed()
 
     def set_loop(self, loop: bool) -> None:
         """Start over at the end, or stop there."""
         with self._lock:
             self._playback.loop = bool(loop)
+            self._show_speed()
 
     def show_iterate(self, index: int) -> None:
-        """Show an iterate, by its place in `result.iterates`."""
-        if not 0 <= index < len(self._result.iterates):
-            raise ValueError(f"iterate must be one of the {len(self._result.iterates)} kept, got {index}")
+        """Show an iterate, by its place in `result.iterates`; of several results the last one where they have fewer."""
+        if not 0 <= index < self.iterates:
+            raise ValueError(f"iterate must be one of the {self.iterates} kept, got {index}")
         with self._lock:
             self._iterate = index
-            self._trajectory = self._result.iterates[index]
-            if self._view is not None:
-                self._view.follow(self._motion(index))
-            self._note_iterate(index)
-            self._redraw_plots()
-            self.set_ghosts(*self._ghosts)
+            for view in self._views:
+                view.show_iterate(index)
+            if self._page is not None:
+                self._page.note_iterate(index)
+                self._page.plots.show(self._playback.time)
+            self.set_ghosts(*self.ghosts)
+
+    def step_iterate(self, iterates: int = 1) -> None:
+        """Go on by so many iterates, back if negative; does nothing where none were kept."""
+        with self._lock:
+            if self._iterate is not None:
+                self.show_iterate(int(np.clip(self._iterate + iterates, 0, self.iterates - 1)))
 
     def set_ghosts(self, mode: str, number: int = 8) -> None:
         """Show ghosts: "off", `number` poses "along" the motion, or the "previous" or "first" iterate moving along."""
         choose("ghost mode", mode, GHOSTS.values())
         with self._lock:
-            self._ghosts, self._ghost_motion = (mode, number), None
-            if self._controls is not None:
-                self._controls.show_ghosts(mode, number)
-            if self._view is None:
-                return
-            if mode == "along":
-                self._view.set_ghosts(*self._view.motion(self._trajectory).spread(count("number", number)))
-            elif mode == "off" or not self._iterate:
-                self._view.clear_ghosts()
-            else:
-                self._ghost_motion = self._motion(self._iterate - 1 if mode == "previous" else 0)
+            self.ghosts = (mode, number)
+            if self._page is not None:
+                self._page.controls.show_ghosts(mode, number)
+            for view in self._views:
+                view.set_ghosts(mode, number)
             self._refresh()
 
     def set_trace(self, visible: bool) -> None:
         """Show or hide the paths of the outermost bodies."""
         with self._lock:
-            if self._view is not None:
-                self._view.set_trace(visible)
+            self.trace = visible
+            for view in self._views:
+                view.set_trace(visible)
+            if self._page is not None:
+                self._page.controls.show_trace(visible)
 
-    def _note_iterate(self, index: int) -> None:
-        entry = self._result.log[index] if index < len(self._result.log) else None
-        if self._controls is not None:
-            told = "" if entry is None else f"cost {panels.short(entry.cost)}"
-            if entry is not None:
-                told += _AFTERWARDS.get(entry.outcome, "").format(panels.short(entry.alpha))
-            self._controls.show_iterate(index, told)
-        if self._cost_plot is not None and entry is not None:
-            self._cost_plot.mark(float(entry.iteration))
+    def set_layout(self, layout: str) -> None:
+        """Put several results "overlaid" or "side by side". Results of different models only stand side by side."""
+        if choose("layout", layout, LAYOUTS) not in self.layouts:
+            raise ValueError(f"results of different models cannot be {layout}; they stand {self.layouts[0]}")
+        with self._lock:
+            self.layout = layout
+            for view, offset in zip(self._views, comparison.offsets(self._views, layout), strict=True):
+                view.set_offset(offset)
+            self._show_results()
+            self.frame()
+
+    def set_visible(self, place: int, visible: bool) -> None:
+        """Show or hide one of several results, in scene and plots, by its place in the list."""
+        if not 0 <= place < len(self._views):
+            raise ValueError(f"there are {len(self._views)} results, got place {place}")
+        with self._lock:
+            self._views[place].set_visible(visible)
+            self._show_results()
+            if self._page is not None:
+                self._page.plots.show(self._playback.time)
+
+    def set_dark(self, dark: bool) -> None:
+        """Turn page and scene dark or light."""
+        with self._lock:
+            self.dark = bool(dark)
+            if self._page is not None:
+                self._page.set_dark(self.dark)
+
+    def frame(self) -> None:
+        """Point the camera at the whole motion, of all results."""
+        with self._lock:
+            box = comparison.box(self._views, self.layout)
+            if self._server is not None and box is not None:
+                Framing(self._server, ASPECT).frame(*box)
 
     def _build(self, server: viser.ViserServer) -> None:
-        result, gui = self._result, server.gui
-        gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=self._dark)
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(_CONTROLS_WIDTH)
-        gui.set_panel_label("mjslq")
-        if result.scene is not None:
-            self._view = SceneView(
-                server, result.scene, self._trajectory, _ASPECT, dark=self._dark, contact=result.contact
-            )
-        gui.add_html(panels.summary(result))
-        if result.scene is None:
-            gui.add_html(_NO_SCENE)
-        actions = Actions(
-            self.toggle, self.seek, self.set_speed, self.set_loop, self.show_iterate, self.set_ghosts, self.set_trace
-        )
-        self._controls = Controls(
-            gui,
-            actions,
-            duration=self._playback.duration,
-            iterates=len(result.iterates),
-            iterate=self._iterate or 0,
-            scene=result.scene is not None,
-        )
-        if len(series.costs(result)[0]):
-            with self._controls.optimization:
-                self._cost_plot = panels.CostPlot(gui, result)
-        else:
-            self._controls.optimization.visible = len(result.iterates) > 1
-        if self._beside:
-            from mjslq.viewer.comparison import add_comparison
-
-            with gui.add_folder("Comparison"):
-                add_comparison(gui, (result, *self._beside))
-        if self._view is not None:
-            Look(gui, self._view, skip=("traces",))
-        self._add_plots(gui)
+        self._page = PlayerPage(server, self, self._views)
         if self._iterate is not None:
-            self._note_iterate(self._iterate)
+            self._page.note_iterate(self._iterate)
+        if len(self._views) > 1 and self.drawn:
+            self.set_layout(self.layout)
+        self._show_speed()
         self._refresh()
 
-    def _add_plots(self, gui: viser.GuiApi) -> None:
-        result, panel = self._result, gui.add_panel()
-        panel.dock_left()
-        panel.set_width(_PLOTS_WIDTH if self._view is not None else 2.1 * _PLOTS_WIDTH)
-        with panel.add_tab("Plots"):
-            for title, kind in series.KINDS:
-                found = series.groups(result, kind, self._model)
-                if found:
-                    self._plots.append(
-                        panels.SignalPlot(gui, title, result, found, self._redraw_plots, self._view is None)
-                    )
-        self._redraw_plots()
+    def _show_speed(self) -> None:
+        if self._page is not None:
+            self._page.controls.show_speed(self._playback.speed, self._playback.loop)
 
-    def _redraw_plots(self) -> None:
-        with self._lock:
-            for plot in self._plots:
-                plot.set_trajectory(self._trajectory)
-            self._marked_at = -np.inf
-            self._refresh()
-
-    def _iterate_motion(self, index: int) -> Motion:
-        assert self._view is not None
-        return self._view.motion(self._result.iterates[index])
+    def _show_results(self) -> None:
+        if self._page is not None:
+            self._page.controls.show_results(self.layout, self.results_visible)
 
     def _refresh(self) -> None:
-        """Send where playback stands: robot and widgets each time, marks at their own pace."""
-        if self._server is None or self._controls is None:
-            return
-        time, playing = self._playback.time, self._playback.playing
-        self.frames += 1
-        with self._server.atomic():
-            if self._view is not None:
-                if self._ghost_motion is not None:
-                    positions, wxyzs = self._ghost_motion.at(time)
-                    self._view.set_ghosts(positions[None], wxyzs[None])
-                self._view.show(time)
-            self._controls.show(time, playing)
-            now = clock.monotonic()
-            if not playing or now - self._marked_at >= 1.0 / _MARKS:
-                self._marked_at = now
-                for plot in self._plots:
-                    plot.mark(time)
+        """Send where playback stands."""
+        if self._page is not None:
+            self.frames += 1
+            self._page.show(self._playback.time, self._playback.playing)
 
     def _run(self) -> None:
         """Let time run until the end; sleeps while paused."""
@@ -306,11 +336,3 @@ class Player(Served):
                 last = now
                 if moved or not self._playback.playing:
                     self._refresh()
-
-
-def _nearest_iterate(result: Result) -> int | None:
-    """Return the iterate that the result's trajectory is, or the last one."""
-    if not result.iterates:
-        return None
-    same = [i for i, t in enumerate(result.iterates) if np.array_equal(t.U, result.trajectory.U)]
-    return same[-1] if same else len(result.iterates) - 1

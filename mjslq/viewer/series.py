@@ -1,4 +1,4 @@
-"""The curves of a result, in groups that fit a plot: states, controls, outputs and costs, named, with units."""
+"""The curves of a result, in groups that fit a plot: states, controls, outputs, multipliers, ..., named, with units."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mjslq.log import IterationLog
 from mjslq.reports import in_force
-from mjslq.reports.limits import reached
-from mjslq.reports.units import control_kinds, state_kinds
+from mjslq.reports.limits import NEAR, reached
+from mjslq.reports.units import control_kinds, position_limits, sensor_kinds, state_kinds
 from mjslq.result import Result
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
@@ -22,6 +23,15 @@ PER_PLOT = 8
 
 KINDS = (("States", "states"), ("Controls", "controls"), ("Outputs", "outputs"), ("Constraints", "constraints"))
 """What is plotted over time: title and kind."""
+MORE_KINDS = (
+    ("Residuals of the cost", "residuals"),
+    ("Multipliers of control limits", "limit multipliers"),
+    ("Costates", "costates"),
+    ("Gradient", "gradient"),
+)
+"""What else can be plotted when it is asked for."""
+HELD = ("controls", "limit multipliers", "gradient")
+"""Kinds with one value a step, held over it; others have one a knot."""
 COLORS = ("#2f6fb3", "#d6592b", "#2b8f6d", "#b04a8c", "#c29a1c", "#5b5fc7", "#7a8794", "#8c5a3c")
 """One a curve, told apart by lightness too. Length `PER_PLOT`."""
 
@@ -33,7 +43,7 @@ class Group:
     title: str
     """What the choice is called, unit included."""
     kind: str
-    """"states", "controls", "outputs" or "constraints"."""
+    """One of `KINDS` or `MORE_KINDS`."""
     columns: tuple[int, ...]
     """Columns of the trajectory's X, U or Y, or of `data`."""
     labels: tuple[str, ...]
@@ -41,28 +51,38 @@ class Group:
     unit: str
     """Unit of all of them; empty when unknown."""
     data: Array | None = field(default=None, compare=False)
-    """Values at the knots that belong to the result, whichever iterate is shown. Shape (N + 1, columns)."""
+    """Values that belong to the result, whichever iterate is shown. Shape (N + 1, columns) | (N, columns)."""
+    ends: tuple[Array, Array] | None = field(default=None, compare=False)
+    """Lower and upper limits of states, infinite where there are none. Shapes (k,)."""
+
+    @property
+    def held(self) -> bool:
+        """Whether there is one value a step, and not one a knot."""
+        return self.kind in HELD
 
 
 def groups(result: Result, kind: str, model: Any = None) -> list[Group]:
-    """Return the plots of `kind` ("states", "controls", "outputs" or "constraints").
+    """Return the plots of a kind, one of `KINDS` or `MORE_KINDS`.
 
-    `model` gives the units of its coordinates. Constraints have their multipliers, the largest at each knot, and their
-    violations.
+    `model` gives the units of its coordinates and sensors, and the ranges of its joints. Constraints have their
+    multipliers, the largest at each knot, and their violations.
     """
-    if kind == "constraints":
-        named = {"multipliers": in_force.multipliers(result), "violations": result.violations}
-        return [group for title, columns in named.items() if columns for group in _of_constraints(title, columns)]
-    size = _array(result.trajectory, kind).shape[1]
-    letter = {"states": "x", "controls": "u", "outputs": "y"}[kind]
-    given = tuple(result.names.get(kind, ()))
-    labels = given if len(given) == size else tuple(f"{letter}[{i}]" for i in range(size))
-    if kind == "states" and model is not None and result.scene is not None:
-        kinds = state_kinds(model, result.scene.columns, size)
-    elif kind == "controls" and model is not None and model.nu == size:
-        kinds = control_kinds(model)
-    else:
-        kinds = [(kind, "")] * size
+    if kind in ("constraints", "residuals"):
+        named = {"residuals": _acting_along(result.residuals)}
+        if kind == "constraints":
+            named = {"multipliers": in_force.multipliers(result), "violations": result.violations}
+        return [group for title, columns in named.items() if columns for group in _by_name(title, kind, columns)]
+    data = _of_result(result, kind)
+    if data is None and kind not in ("states", "controls", "outputs"):
+        return []
+    size = (_array(result.trajectory, kind) if data is None else data).shape[1]
+    labels = _labels(result, kind, size)
+    kinds, ends = [(kind, "")] * size, None
+    if model is not None:
+        kinds = _units(result, kind, model, size) or kinds
+        if kind == "states" and result.scene is not None and not result.scene.lines:
+            low, high = position_limits(model, result.scene.columns, size)
+            ends = (np.array(low), np.array(high))
     found = []
     for name, unit in dict.fromkeys(kinds):
         members = [i for i in range(size) if kinds[i] == (name, unit)]
@@ -71,8 +91,56 @@ def groups(result: Result, kind: str, model: Any = None) -> list[Group]:
             title = f"{name} [{unit}]" if unit else name
             if len(members) > PER_PLOT:
                 title += f", {start + 1} to {start + len(columns)} of {len(members)}"
-            found.append(Group(title, kind, tuple(columns), tuple(labels[i] for i in columns), unit))
+            own = None if ends is None else (ends[0][columns], ends[1][columns])
+            found.append(Group(title, kind, tuple(columns), tuple(labels[i] for i in columns), unit, data, own))
     return found
+
+
+def _of_result(result: Result, kind: str) -> Array | None:
+    """Values of a kind that belong to the result and not to the iterate shown."""
+    of_kind = {
+        "costates": result.costates,
+        "gradient": result.gradient,
+        "limit multipliers": result.multipliers.get("controls"),
+    }
+    return of_kind.get(kind)
+
+
+def _labels(result: Result, kind: str, size: int) -> tuple[str, ...]:
+    """Names of the entries of a kind; letters with numbers where the result has none."""
+    letter, names = {
+        "states": ("x", "states"),
+        "outputs": ("y", "outputs"),
+        "costates": ("dx", "states"),
+    }.get(kind, ("u", "controls"))
+    given = tuple(result.names.get(names, ()))
+    if kind == "costates" and len(given) != size and result.space is not None and len(given) == result.space.nx:
+        given = _tangent_names(result, given)
+    return given if len(given) == size else tuple(f"{letter}[{i}]" for i in range(size))
+
+
+def _tangent_names(result: Result, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of the tangent directions of a state: its own, and the turns of its rotations by their first entry."""
+    assert result.space is not None
+    found = [""] * result.space.ndx
+    grouped = {int(i) for part in result.space.parts for i in part.x.ravel()}
+    for part in result.space.parts:
+        for x, dx in zip(part.x, part.dx, strict=True):
+            for place, direction in enumerate(dx):
+                found[int(direction)] = f"{names[int(x[0])]}, direction {place + 1}"
+    plain = iter(name for i, name in enumerate(names) if i not in grouped)
+    return tuple(name or next(plain, "") for name in found)
+
+
+def _units(result: Result, kind: str, model: Any, size: int) -> list[tuple[str, str]] | None:
+    """Kind and unit of each entry, as far as the model tells."""
+    if kind == "states" and result.scene is not None:
+        return state_kinds(model, result.scene.columns, size)
+    if kind == "controls" and model.nu == size:
+        return control_kinds(model)
+    if kind == "outputs" and model.nsensordata == size:
+        return sensor_kinds(model)
+    return None
 
 
 def curves(trajectory: Trajectory, group: Group) -> tuple[Array, Array]:
@@ -82,7 +150,7 @@ def curves(trajectory: Trajectory, group: Group) -> tuple[Array, Array]:
     """
     good = max(finite_knots(trajectory), 1)
     values = _values(trajectory, group)
-    if group.kind == "controls":
+    if group.held:
         steps = min(max(good - 1, 1), len(values))
         times = np.stack([trajectory.times[:steps], trajectory.times[1 : steps + 1]], axis=1).ravel()
         return times, np.repeat(values[:steps], 2, axis=0)
@@ -92,14 +160,14 @@ def curves(trajectory: Trajectory, group: Group) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the controls of a group, at the times that `curves` gives them at; constraints have no lines."""
+    """Limits of a group's curves, at the times that `curves` gives these at; constraints have no lines."""
 
     lower: Array
     """-inf where there is none. Shape (n, k)."""
     upper: Array
     """Shape (n, k)."""
     active: NDArray[np.bool_]
-    """Whether a control is at one of its limits, or a constraint in force. Shape (n, k)."""
+    """Whether a control or a state is at one of its limits, or a constraint in force. Shape (n, k)."""
 
     def lines(self) -> list[tuple[Array, int | None]]:
         """The finite limits, each once: values (n,), and the curve whose limit it is, None where several share it."""
@@ -113,7 +181,7 @@ class Limits:
 
 
 def limits(result: Result, trajectory: Trajectory, group: Group) -> Limits | None:
-    """Return the limits of a group along one of the result's iterates; None where no control in it has any."""
+    """Return the limits of a group along one of the result's iterates; None where nothing in it has any."""
     columns = list(group.columns)
     if group.kind == "constraints":
         touching = in_force.touching(result)
@@ -122,6 +190,8 @@ def limits(result: Result, trajectory: Trajectory, group: Group) -> Limits | Non
         count = len(curves(trajectory, group)[0])
         unlimited = np.full((count, len(columns)), np.inf)
         return Limits(-unlimited, unlimited, active[:count])
+    if group.kind == "states" and group.ends is not None:
+        return _of_states(trajectory, group)
     if group.kind != "controls":
         return None
     lower, upper = result.lower[:, columns], result.upper[:, columns]
@@ -131,6 +201,17 @@ def limits(result: Result, trajectory: Trajectory, group: Group) -> Limits | Non
     steps = len(curves(trajectory, group)[0]) // 2
     lower, upper, active = (np.repeat(part[:steps], 2, axis=0) for part in (lower, upper, active))
     return Limits(lower, upper, active)
+
+
+def _of_states(trajectory: Trajectory, group: Group) -> Limits | None:
+    assert group.ends is not None
+    lower, upper = group.ends
+    if not np.isfinite([lower, upper]).any():
+        return None
+    values = curves(trajectory, group)[1]
+    room = NEAR * np.where(np.isfinite(upper - lower), upper - lower, 0.0)
+    active = (values <= lower + room) | (values >= upper - room)
+    return Limits(np.broadcast_to(lower, values.shape), np.broadcast_to(upper, values.shape), active)
 
 
 def range_with_limits(values: Array, lines: Sequence[Array], room: float = 0.08) -> tuple[float, float]:
@@ -144,7 +225,7 @@ def values_at(trajectory: Trajectory, group: Group, time: float) -> Array:
     """Return the values (k,) of a group at `time` [s]; NaN where the trajectory holds none."""
     times = trajectory.times
     values = _values(trajectory, group)
-    if group.kind == "controls":
+    if group.held:
         step = int(np.clip(np.searchsorted(times, time, side="right") - 1, 0, len(values) - 1))
         return np.asarray(values[step])
     return np.array([np.interp(time, times, column) for column in values.T])
@@ -179,26 +260,31 @@ def thinning(values: Array, most: int, switches: NDArray[np.bool_] | None = None
     return np.array(sorted(keep), dtype=np.intp)
 
 
-def violations(result: Result) -> tuple[Array, Array]:
-    """Return iterations and the largest violations of the log, where they are finite. Shapes (n,)."""
-    entries = [(entry.iteration, entry.violation) for entry in result.log if np.isfinite(entry.violation)]
+def violations(log: Sequence[IterationLog]) -> tuple[Array, Array]:
+    """Return iterations and the largest violations of a log, where they are finite. Shapes (n,)."""
+    entries = [(entry.iteration, entry.violation) for entry in log if np.isfinite(entry.violation)]
     return np.array([i for i, _ in entries], dtype=float), np.array([v for _, v in entries], dtype=float)
 
 
-def costs(result: Result) -> tuple[Array, Array]:
-    """Return iterations and costs of the log, where the cost is finite. Shapes (n,)."""
-    entries = [(entry.iteration, entry.cost) for entry in result.log if np.isfinite(entry.cost)]
+def costs(log: Sequence[IterationLog]) -> tuple[Array, Array]:
+    """Return iterations and costs of a log, where the cost is finite. Shapes (n,)."""
+    entries = [(entry.iteration, entry.cost) for entry in log if np.isfinite(entry.cost)]
     return np.array([i for i, _ in entries], dtype=float), np.array([c for _, c in entries], dtype=float)
 
 
-def _of_constraints(title: str, named: dict[str, Array]) -> list[Group]:
-    """Plots of curves over the knots, by the constraint's name."""
+def _acting_along(residuals: dict[str, Array]) -> dict[str, Array]:
+    """Those that act at more knots than one, which make a curve."""
+    return {name: sizes for name, sizes in residuals.items() if np.isfinite(sizes).sum() > 1}
+
+
+def _by_name(title: str, kind: str, named: dict[str, Array]) -> list[Group]:
+    """Plots of curves over the knots, by the name of what they belong to."""
     names, found = list(named), []
     for start in range(0, len(names), PER_PLOT):
         labels = tuple(names[start : start + PER_PLOT])
         told = title if len(names) <= PER_PLOT else f"{title}, {start + 1} to {start + len(labels)} of {len(names)}"
         data = np.stack([named[name] for name in labels], axis=1)
-        found.append(Group(told, "constraints", tuple(range(len(labels))), labels, "", data))
+        found.append(Group(told, kind, tuple(range(len(labels))), labels, "", data))
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from abc import ABC, abstractmethod
 from typing import Self, TypeVar
@@ -75,8 +76,19 @@ def present(shown: Shown, block: bool) -> Shown:
     shown.start()
     try:
         print(f"{shown.kind} at {shown.url}" + (" (Ctrl-C ends it)" if block else ""), flush=True)
-        if block:
-            shown.wait()
     except KeyboardInterrupt:
         shown.stop()
+        return shown
+    if block:
+        stay(shown)
     return shown
+
+
+def stay(shown: Served, told: str = "") -> None:
+    """Stay until Ctrl-C, which closes what is shown; `told` goes to standard error before."""
+    try:
+        if told:
+            print(told, file=sys.stderr, flush=True)
+        shown.wait()
+    except KeyboardInterrupt:
+        shown.stop()

@@ -36,13 +36,13 @@ def test_results_that_never_started_do_not_break_it(results):
 
 
 def test_player_opens_with_the_comparison(results, monkeypatch):
-    drawn, add_plot = [], comparison.panels.add_plot
+    drawn, add_plot = [], comparison.plots.add_plot
 
     def record(gui, x, values, labels, *rest, **more):
         drawn.append((x, values, labels))
         add_plot(gui, x, values, labels, *rest, **more)
 
-    monkeypatch.setattr(comparison.panels, "add_plot", record)
+    monkeypatch.setattr(comparison.plots, "add_plot", record)
     with Player(results[0], port=8171, autoplay=False, beside=results[1:]) as player:
         assert player.running
     for x, values, labels in drawn:  # against iterations, and against time

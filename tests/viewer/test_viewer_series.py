@@ -12,7 +12,7 @@ from mjslq.reports.units import model_from_mjb
 from mjslq.result import Result
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
-from mjslq.viewer import panels, series
+from mjslq.viewer import drawing, panels, series
 from mjslq.viewer.playback import Playback
 
 
@@ -74,11 +74,6 @@ def test_plots_of_controls_show_their_limits(arm: Result) -> None:
     assert (first, second) == (0, 0) and (upper == 1.5).all() and (lower == -1.5).all()
     assert not found.active[:, 1].any()
     np.testing.assert_array_equal(found.active[::2, 0], arm.trajectory.times[:-1] >= 1.5 - 1.5e-3)
-    drawn = panels.Curves.of(arm, arm.trajectory, group)
-    assert drawn.limits.shape == (200, 3) and len(drawn.styles) == 3 and drawn.bars == 1
-    top, foot = drawn.limits[:, 2], drawn.styles[2]["fillTo"]
-    assert ((top > foot) == found.active[:, 0]).all() and top.max() < drawn.values.min()
-    assert drawn.y_range[0] <= foot and drawn.y_range[1] > 1.5
     assert series.limits(arm, arm.trajectory, series.groups(arm, "states")[0]) is None
 
 
@@ -122,7 +117,7 @@ def test_axis_limits_are_never_empty(values: np.ndarray) -> None:
 @pytest.mark.parametrize("at", [0.0, 0.5, 1.0, 1.7, 2.0])
 def test_mark_rises_at_its_place_and_leaves_the_curves_alone(at: float) -> None:
     x, y = np.array([0.0, 1.0, 2.0]), np.array([[0.0], [3.0], [4.0]])
-    times, curve, mark = panels.with_mark(x, y, at, (-1.0, 5.0))
+    times, curve, mark = drawing.with_mark(x, y, at, (-1.0, 5.0))
     assert (np.diff(times) >= 0).all() and times[np.argmax(mark)] == at
     assert mark.max() == 5.0 and np.count_nonzero(mark > -1.0) == 1
     np.testing.assert_allclose(curve, np.interp(times, x, y[:, 0]))
