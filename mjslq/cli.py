@@ -201,7 +201,7 @@ def compare(
     dark: Dark = False,
 ) -> None:
     """Solve a problem by every method from the same start: one table, one plot."""
-    if view or watch:
+    if view:
         refuse_address(host, port)
     announce(quiet=False)
     from mjslq import problems

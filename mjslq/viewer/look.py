@@ -37,7 +37,7 @@ class Look:
         self.switches: dict[str, Any] = {}
         """The switch of each layer, by the layer's name."""
         with gui.add_folder("Look"):
-            self.dark = gui.add_checkbox("Dark", view.dark)
+            self.dark: Any = gui.add_checkbox("Dark", view.dark)
             self.dark.on_update(_from_browser(lambda event: self.set_dark(bool(event.target.value))))
             self._add_camera()
             for name in PRIMARY:

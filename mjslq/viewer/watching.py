@@ -66,7 +66,7 @@ class Watch(Served):
         dark: bool = False,
         **options: Any,
     ) -> None:
-        """Prepare to solve `problem` by `method`; `options` are those of `mjslq.solve`. The page is `dark`, or light."""
+        """Prepare to solve `problem` by `method`; `options` are those of `mjslq.solve`, `dark` is the page's colour."""
         if not isinstance(problem, Problem):
             raise ValueError(f"problem must be a mjslq.Problem, got {type(problem).__name__}")
         super().__init__(host, port)

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from mjslq.dynamics.mujoco.drawing import drawn_scene
+from mjslq.markers import markers
 from mjslq.result import Result, load
 from mjslq.scene import Marker, Scene
 from mjslq.status import Status
-from mjslq.targets import markers
 from mjslq.trajectory import Trajectory
 from mjslq.viewer.camera import FIELD_OF_VIEW, lens
 from mjslq.viewer.motion import motion
@@ -105,7 +105,7 @@ def test_targets_are_those_of_sensors_that_read_a_place() -> None:
 def test_cameras_of_the_model_are_looked_through() -> None:
     result = standing()
     with Player(result, autoplay=False) as player:
-        view = player._view
+        view = player._views[0].stage
         assert view is not None and view.cameras.names == ["side"]
         seen = lens(view.model, motion(view.model, result.scene, result.trajectory).frame(0.0), 0)
         np.testing.assert_allclose(seen.position, [0, -3, 0.5])
@@ -119,7 +119,7 @@ def test_cameras_of_the_model_are_looked_through() -> None:
 
 def test_switches_of_the_folder_in_a_browser(browser: Any) -> None:
     with Player(standing(), autoplay=False) as player:
-        view, clients = player._view, []
+        view, clients = player._views[0].stage, []
         assert view is not None
         player.server.on_client_connect(clients.append)
         page = browser.new_page(viewport=WINDOW)
