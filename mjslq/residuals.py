@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 from mjslq.dynamics.dynamics import Dynamics, Linearization
 from mjslq.knots import Knots
 from mjslq.quadratic import Expansion, transposed_times
-from mjslq.rotation import conjugate, inverse_right_jacobian, log, product
+from mjslq.rotation import conjugate, inverse_right_jacobian, log, product, skew
 from mjslq.targets import Rows, Timed, unit_quaternions
 from mjslq.trajectory import Trajectory
 from mjslq.user_function import UserFunction
@@ -264,8 +264,8 @@ class OrientationResidual(OutputResidual):
     def _by_reading(self, trajectory: Trajectory) -> Array:
         """dr/dy: the turn that a change of y means, then the inverse right Jacobian. Shape (k, 3, 4)."""
         y = trajectory.Y[self.knots.at, self._columns]
-        turn = np.stack([2.0 * product(conjugate(y), np.broadcast_to(e, y.shape))[:, 1:] for e in np.eye(4)], axis=-1)
-        return inverse_right_jacobian(self.value(trajectory)) @ turn
+        turn = np.concatenate([-y[:, 1:, None], y[:, :1, None] * np.eye(3) - skew(y[:, 1:])], axis=2)
+        return inverse_right_jacobian(self.value(trajectory)) @ (2.0 * turn)
 
 
 class FunctionResidual(BoundResidual):
