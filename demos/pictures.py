@@ -9,6 +9,7 @@ import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
@@ -75,6 +76,19 @@ def take(browser, prepare, results, dark):
     return picture
 
 
+def reduced(picture):
+    """The picture with 256 colours, those of thin curves among them: they are told apart by saturation."""
+    colours = np.asarray(picture).reshape(-1, 3)
+    vivid = colours[np.ptp(colours, axis=1) > 60]
+    palettes = [
+        Image.fromarray(part[None]).quantize(count, Image.Quantize.MEDIANCUT).getpalette()[: 3 * count]
+        for part, count in ((colours, 192), (vivid, 64))
+    ]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*palettes[0], *palettes[1]])
+    return picture.quantize(palette=palette, dither=Image.Dither.NONE)
+
+
 def main() -> None:
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "pictures"
     wanted = sys.argv[2:]
@@ -89,7 +103,7 @@ def main() -> None:
                 file = folder / f"{prepare.__name__}-{'dark' if dark else 'light'}.png"
                 picture = Image.open(io.BytesIO(take(browser, prepare, results, dark))).convert("RGB")
                 picture = picture.resize((WIDTH, WIDTH * picture.height // picture.width), Image.Resampling.LANCZOS)
-                picture.quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(file, optimize=True)
+                reduced(picture).save(file, optimize=True)
                 print(f"{file}: {file.stat().st_size // 1000} kB")
         browser.close()
 
