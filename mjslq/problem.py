@@ -27,11 +27,11 @@ from mjslq.lq.adjoint import adjoint
 from mjslq.lq.box import Box
 from mjslq.lq.problem import Mask
 from mjslq.options import check as check_options
-from mjslq.problem_checks import check_labels, check_trajectory
+from mjslq.problem_checks import check_records, check_trajectory
 from mjslq.residuals import Slopes
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
-from mjslq.validation import Array, as_array, count, describe, finite, frozen, refrozen
+from mjslq.validation import Array, as_array, count, describe, finite, frozen, function, instance, refrozen
 
 LONGEST = 10_000_000
 """Steps of a horizon, at most: one of more is a mistake, and would ask for terabytes."""
@@ -107,7 +107,10 @@ class Problem:
         self._bind_constraints(bounds, N)
         store(self, "U0", frozen(self.box.clip(np.broadcast_to(U0, (N, dynamics.nu)))))
         check_options(self.options)
-        check_labels(self)
+        instance("name", self.name, str, "a text")
+        if self.describe is not None:
+            function("describe", self.describe)
+        check_records(self)
         if not isinstance(self.costs, (CostTerm, Sequence)):
             raise ValueError(f"costs must be a list of terms of mjslq.costs, got {type(self.costs).__name__}")
         terms = [self.costs] if isinstance(self.costs, CostTerm) else list(self.costs)
@@ -140,7 +143,7 @@ class Problem:
             store(self, "box", self.box.within(box, self.dynamics.control_names))
 
     def at(self, x0: ArrayLike, t0: float = 0.0) -> Problem:
-        """The same problem from the initial state `x0` (nx,), its costs' time shifted by `t0` [s].
+        """The same problem from another initial state (nx,), its costs' time shifted by `t0` [s].
 
         Shares everything that does not depend on these: nothing is bound anew.
         """

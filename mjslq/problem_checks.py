@@ -1,4 +1,4 @@
-"""Checks of a problem's labels, and of the trajectories that it is given."""
+"""Checks of a problem's records, and of the trajectories that it is given."""
 
 from __future__ import annotations
 
@@ -7,18 +7,15 @@ from typing import TYPE_CHECKING
 
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
-from mjslq.validation import function, instance
+from mjslq.validation import instance
 
 if TYPE_CHECKING:
     from mjslq.problem import Problem
 
 
-def check_labels(problem: Problem) -> None:
-    """Check what is there for titles, records and viewers. Raises ValueError."""
-    instance("name", problem.name, str, "a text")
+def check_records(problem: Problem) -> None:
+    """Check what is there for reports and viewers alone. Raises ValueError."""
     instance("parameters", problem.parameters, Mapping, "a table of values by name")
-    if problem.describe is not None:
-        function("describe", problem.describe)
     if problem.drawing is not None:
         instance("drawing", problem.drawing, Scene, "a mjslq.Scene")
 
