@@ -27,7 +27,6 @@ from mjslq.lq.adjoint import adjoint
 from mjslq.lq.box import Box
 from mjslq.lq.problem import Mask
 from mjslq.options import check as check_options
-from mjslq.problem_checks import check_records, check_trajectory
 from mjslq.residuals import Slopes
 from mjslq.scene import Scene
 from mjslq.trajectory import Trajectory
@@ -43,8 +42,6 @@ class Problem:
 
     Raises ValueError when sizes do not belong together; the message names the argument.
 
-    Examples
-    --------
     >>> cart = mjslq.FunctionDynamics(lambda x, u: np.array([x[1], u[0]]), nx=2, nu=1, dt=0.1)
     >>> terms = [mjslq.costs.Control(0.1), mjslq.costs.State(100.0, target=[1.0, 0.0], when="terminal")]
     >>> problem = mjslq.Problem(cart, 20, [0.0, 0.0], terms, bounds=mjslq.Bounds(u=(-2.0, 2.0)))
@@ -107,10 +104,7 @@ class Problem:
         self._bind_constraints(bounds, N)
         store(self, "U0", frozen(self.box.clip(np.broadcast_to(U0, (N, dynamics.nu)))))
         check_options(self.options)
-        instance("name", self.name, str, "a text")
-        if self.describe is not None:
-            function("describe", self.describe)
-        check_records(self)
+        self._check_labels()
         if not isinstance(self.costs, (CostTerm, Sequence)):
             raise ValueError(f"costs must be a list of terms of mjslq.costs, got {type(self.costs).__name__}")
         terms = [self.costs] if isinstance(self.costs, CostTerm) else list(self.costs)
@@ -129,6 +123,25 @@ class Problem:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(refrozen(state))
+
+    def _check_labels(self) -> None:
+        """Check what is there for titles, records and viewers."""
+        instance("name", self.name, str, "a text")
+        instance("parameters", self.parameters, Mapping, "a table of values by name")
+        if self.describe is not None:
+            function("describe", self.describe)
+        if self.drawing is not None:
+            instance("drawing", self.drawing, Scene, "a mjslq.Scene")
+
+    def _check(self, trajectory: Trajectory) -> None:
+        """Refuse what is no trajectory of this system and horizon."""
+        instance("trajectory", trajectory, Trajectory, "a mjslq.Trajectory")
+        found, own = (trajectory.X.shape, trajectory.U.shape), (self.horizon, self.dynamics.nx, self.dynamics.nu)
+        if found != ((own[0] + 1, own[1]), (own[0], own[2])):
+            raise ValueError(
+                f"trajectory must have {own[0]} steps, {own[1]} states and {own[2]} controls, got {len(trajectory.U)}, "
+                f"{found[0][1]} and {found[1][1]}"
+            )
 
     def _bind_constraints(self, bounds: Bounds, N: int) -> None:
         """Fit the constraints to the horizon; those of controls alone make the box smaller."""
@@ -166,7 +179,7 @@ class Problem:
         return self.dynamics.integrate(np.asarray(self.x0), np.where(self.free_start, away, 0.0))
 
     def on(self, dynamics: Dynamics) -> Problem:
-        """The same problem on `dynamics`, which differ from its own in nothing but the derivatives that they give."""
+        """The same problem on an engine that differs from its own in nothing but the derivatives that it gives."""
         moved = copy.copy(self)
         object.__setattr__(moved, "dynamics", dynamics)
         return moved
@@ -176,8 +189,8 @@ class Problem:
         return self.dynamics.rollout(self.x0, self.checked_controls(U))
 
     def violation(self, trajectory: Trajectory) -> float:
-        """Largest violation of a limit or constraint along `trajectory`; 0 if all are met, infinite if it diverged."""
-        check_trajectory(self, trajectory)
+        """Largest violation of a constraint or of a control's limits; 0 when all are met, infinite if diverged."""
+        self._check(trajectory)
         if trajectory.diverged:
             return math.inf
         controls = float(np.abs(trajectory.U - self.box.clip(trajectory.U)).max(initial=0.0))
@@ -185,11 +198,11 @@ class Problem:
         return max(controls, *worst) if self.bound_constraints else controls
 
     def violations(self, trajectory: Trajectory) -> dict[str, Array]:
-        """Violation of each constraint at each knot of `trajectory`, by name; zero where it does not act. (N + 1,)."""
+        """Violation of each constraint at each knot, by its name; zero where it does not act. Shape (N + 1,)."""
         return {c.name: c.over_knots(c.violation(trajectory)) for c in self.bound_constraints}
 
     def penalized(self, terms: Sequence[BoundTerm]) -> Problem:
-        """The same problem with more `terms` in its cost; `unpenalized` leads back."""
+        """The same problem with more terms in its cost; `unpenalized` leads back."""
         made = copy.copy(self.unpenalized)
         object.__setattr__(made, "_terms", (*made._terms, *terms))
         object.__setattr__(made, "_unpenalized", self.unpenalized)
@@ -202,12 +215,12 @@ class Problem:
         return self if self._unpenalized is None else self._unpenalized
 
     def cost(self, trajectory: Trajectory) -> float:
-        """Total cost J of `trajectory`; infinite where it diverged. Raises ValueError for one of another problem."""
-        check_trajectory(self, trajectory)
+        """Total cost J; infinite for a trajectory that diverged."""
+        self._check(trajectory)
         return self.total(self.costs_of_terms(trajectory))
 
     def costs_of_terms(self, trajectory: Trajectory) -> list[float]:
-        """Cost of each bound term along `trajectory`; infinite where it diverged."""
+        """Cost of each bound term; infinite for a trajectory that diverged."""
         if trajectory.diverged:
             return [math.inf] * len(self._terms)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -219,7 +232,7 @@ class Problem:
         return total if math.isfinite(total) else math.inf
 
     def named(self, costs_of_terms: Sequence[float]) -> dict[str, float]:
-        """The `costs_of_terms` by what a term is and where it acts; equal ones are numbered from the second on."""
+        """Cost of each term by what it is and where it acts; equal ones are numbered from the second on."""
         found: dict[str, float] = {}
         for term, cost in zip(self._terms, costs_of_terms, strict=False):  # penalties may come after
             label, number = term.label, 1
@@ -230,7 +243,7 @@ class Problem:
         return found
 
     def expand(self, trajectory: Trajectory, linearization: Linearization | None = None) -> Expansion:
-        """Gauss-Newton expansion of the cost about `trajectory`, whose `linearization` is made unless given."""
+        """Second-order (Gauss-Newton) expansion of the cost about `trajectory`."""
         if linearization is None:
             linearization = self.dynamics.linearize(trajectory)
         expansion = Expansion(*(part.copy() for part in self._prepared))
@@ -247,10 +260,10 @@ class Problem:
         return slopes
 
     def complete(self, trajectory: Trajectory, expansion: Expansion) -> tuple[Expansion, Array]:
-        """Second-order expansion about `trajectory` with the whole Hessian, from the Gauss-Newton one, and dJ/dy.
+        """Second-order expansion with the whole Hessian, from the Gauss-Newton one, and dJ/dy.
 
-        The Gauss-Newton one, `expansion`, stays as it is. Outputs enter the Hessian with their own second
-        derivatives, contracted with dJ/dy, shape (N + 1, ny), which `Dynamics.hessian` takes as `weights`.
+        Outputs enter the Hessian with their own second derivatives, contracted with dJ/dy, shape (N + 1, ny), which
+        `Dynamics.hessian` takes as `weights`.
         """
         full = Expansion(*(part.copy() for part in expansion))
         weights = np.zeros((self.horizon + 1, self.dynamics.ny))
@@ -259,10 +272,9 @@ class Problem:
         return full, weights
 
     def complete_ends(self, trajectory: Trajectory, linearization: Linearization, full: Expansion) -> Array:
-        """Add to `full` what `complete` cannot: terms of the ends of steps, w(x_{n+1}, u_n), along `trajectory`.
+        """Add to `full` what `complete` cannot: the part of terms of the ends of steps, w(x_{n+1}, u_n).
 
-        The ends follow by `linearization`. Returns what weighs the second derivatives of the steps beside the
-        costates. Shape (N + 1, ndx).
+        Returns what weighs the second derivatives of the steps beside the costates. Shape (N + 1, ndx).
         """
         costates = np.zeros((self.horizon + 1, self.dynamics.ndx))
         for term in self._terms:
@@ -270,8 +282,8 @@ class Problem:
         return costates
 
     def gradient(self, trajectory: Trajectory) -> Array:
-        """Gradient dJ/dU along `trajectory` (Sideris and Bobrow 2005, (8)-(10)). Shape (N, nu)."""
-        check_trajectory(self, trajectory)
+        """Gradient dJ/dU by the adjoint recursion. Shape (N, nu).  (Sideris and Bobrow 2005, (8)-(10).)"""
+        self._check(trajectory)
         linearization = self.dynamics.linearize(trajectory)
         expansion = self.expand(trajectory, linearization)
         return adjoint(linearization.A, linearization.B, expansion.q, expansion.r)[1]
@@ -289,7 +301,7 @@ class Problem:
         return self.dynamics.scene() if self.drawing is None else self.drawing
 
     def checked_controls(self, U: ArrayLike, name: str = "U0") -> Array:
-        """Return `U` as (N, nu); one control (nu,) is held over the horizon. Raises ValueError about `name`."""
+        """Return `U` as (N, nu); one control (nu,) is held over the horizon."""
         shape = (self.horizon, self.dynamics.nu)
         array = as_array(name, U)
         if array.shape not in (shape, shape[1:]):
