@@ -43,10 +43,9 @@ class Problem:
     Raises ValueError when sizes do not belong together; the message names the argument.
 
     >>> cart = mjslq.FunctionDynamics(lambda x, u: np.array([x[1], u[0]]), nx=2, nu=1, dt=0.1)
-    >>> terms = [mjslq.costs.Control(0.1), mjslq.costs.State(100.0, target=[1.0, 0.0], when="terminal")]
-    >>> problem = mjslq.Problem(cart, 20, [0.0, 0.0], terms, bounds=mjslq.Bounds(u=(-2.0, 2.0)))
-    >>> problem.cost(problem.rollout([0.0]))
-    50.0
+    >>> problem = mjslq.Problem(cart, 20, [0.0, 0.0], [mjslq.costs.Control(0.1), mjslq.costs.State(1.0, [1.0, 0.0])])
+    >>> round(problem.cost(problem.rollout([0.0])), 6)
+    1.0
     """
 
     dynamics: Dynamics
