@@ -23,7 +23,13 @@ from mjslq.lq import square_root
 PACKAGE_USE = {"CostTerm", "Constraint", "BoundConstraints", "bind_all", "read", "Start", "plant_of", "Plant"}
 """Names without an underscore that only the package uses."""
 SECTIONS = re.compile(r"^(Parameters|Returns|Raises|Examples)\n-+\n", re.MULTILINE)
-OWED = {"mjslq.view", "mjslq.watch", "mjslq.Problem"}
+OWED: set[str] = set(
+    """
+    mjslq.view mjslq.watch mjslq.Problem mjslq.Clip mjslq.MujocoDynamics mjslq.Dynamics.frame_output
+    mjslq.Dynamics.variation mjslq.Dynamics.by_stretch mjslq.FunctionDynamics.changed mjslq.Policy.load
+    mjslq.costs.Frame mjslq.costs.Time mjslq.constraints.Frame mjslq.constraints.Control.at
+    """.split()
+)
 """Names whose docstrings, or those of whose methods, are still to be written; to be taken out of here."""
 
 
@@ -49,7 +55,8 @@ NAMES = {
 }
 for _module in (costs, constraints, simulation, starts, problems, robots):
     NAMES |= {name: value for name, value in names_of(_module).items() if value not in NAMES.values()}
-FUNCTIONS = {name: value for name, value in NAMES.items() if inspect.isfunction(value) and name not in OWED} | {
+NAMES = {name: value for name, value in NAMES.items() if name not in OWED}
+FUNCTIONS = {name: value for name, value in NAMES.items() if inspect.isfunction(value)} | {
     "square_root.solve": square_root.solve
 }
 CLASSES = {name: value for name, value in NAMES.items() if inspect.isclass(value)}
@@ -57,7 +64,7 @@ METHODS = {
     f"{owner}.{name}": getattr(value, "__func__", value)
     for owner, kind in CLASSES.items()
     for name, value in vars(kind).items()
-    if owner not in OWED
+    if f"{owner}.{name}" not in OWED
     and (not name.startswith("_") or name == "__call__")
     and callable(getattr(value, "__func__", value))
 }
