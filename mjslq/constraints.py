@@ -72,8 +72,6 @@ class State(Constraint):
 
     A quaternion's entries are limited as the numbers that they are; most often they have no limits.
 
-    Examples
-    --------
     >>> track = mjslq.constraints.State(lower=[-0.25, -np.inf], upper=[0.25, np.inf], name="track")
     """
 
@@ -102,8 +100,6 @@ class State(Constraint):
 class Control(Constraint):
     """Limits of the controls, lower <= u <= upper, at every step; the problem's `bounds` hold beside them.
 
-    Examples
-    --------
     >>> effort = mjslq.constraints.Control(lower=-2.0, upper=2.0, name="effort")
     """
 
@@ -131,8 +127,6 @@ class Control(Constraint):
 class Sensor(Constraint):
     """Limits of an output of the engine: a MuJoCo sensor, such as a distance, or a frame's position.
 
-    Examples
-    --------
     >>> clearance = mjslq.constraints.Sensor("hand_to_box", lower=0.02)  # [m]
     """
 
@@ -199,8 +193,6 @@ class Path(Constraint):
     Plain Python is called knot by knot; a function compiled by `numba.njit` is not. See `mjslq.costs.Residual` for
     what such functions have to return.
 
-    Examples
-    --------
     >>> outside = mjslq.constraints.Path(lambda x, u, t: 1.0 - x[0] ** 2 - x[1] ** 2)  # of the unit circle
     """
 
@@ -238,8 +230,6 @@ class Path(Constraint):
 class Terminal(Constraint):
     """m(x_N) = 0, or <= 0, for any smooth function m of the final state.
 
-    Examples
-    --------
     >>> rest = mjslq.constraints.Terminal(lambda x: x[1])  # no speed at the end
     """
 
@@ -263,8 +253,6 @@ class Initial(Constraint):
     of q and the costate of the first knot belong together, lambda_0 = -(dq/dx)'nu on the free entries (McQuade 1989,
     (2.35)).
 
-    Examples
-    --------
     >>> thrown = mjslq.constraints.Initial(free=[1])  # the first speed is to be found
     """
 

@@ -45,7 +45,7 @@ from mjslq.validation import Array, choose, finite, per_step_matrices
 
 
 class CostTerm(ABC):
-    """What a user writes down."""
+    """A cost term as a user states it; `bind` fits it to a system and a horizon."""
 
     @abstractmethod
     def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
@@ -60,6 +60,10 @@ class Tracking(CostTerm):
 
     Matrices are given as a number, a diagonal, a matrix or one matrix a step; Q and Q_final positive semidefinite,
     R positive definite.
+
+    Examples
+    --------
+    >>> regulate = mjslq.costs.Tracking(Q=[1.0, 0.1], R=0.01, Q_final=100.0, x_target=[np.pi, 0.0])
     """
 
     Q: ArrayLike
@@ -91,7 +95,12 @@ class Tracking(CostTerm):
 
 @dataclass(frozen=True)
 class State(CostTerm):
-    """1/2 weight |x - target|^2, or another loss of x - target."""
+    """1/2 weight |x - target|^2, or another loss of x - target.
+
+    Examples
+    --------
+    >>> upright = mjslq.costs.State([100.0, 1.0], target=[np.pi, 0.0], when="terminal")
+    """
 
     weight: ArrayLike
     """A number, a diagonal or a matrix, positive semidefinite. Shape () | (ndx,) | (ndx, ndx)."""
@@ -118,7 +127,12 @@ class State(CostTerm):
 
 @dataclass(frozen=True)
 class Control(CostTerm):
-    """1/2 weight |u - target|^2, or another loss of u - target; an integral over time."""
+    """1/2 weight |u - target|^2, or another loss of u - target; an integral over time.
+
+    Examples
+    --------
+    >>> effort = mjslq.costs.Control(1e-2)
+    """
 
     weight: ArrayLike
     """A number, a diagonal or a matrix, positive semidefinite; with the other terms of a problem, all controls have to
@@ -147,6 +161,10 @@ class Sensor(CostTerm):
     """1/2 weight |reading - target|^2, or another loss, of an output of the engine: a MuJoCo sensor, or a frame.
 
     Readings that are unit quaternions are compared by the rotation vector [rad] between them and the target.
+
+    Examples
+    --------
+    >>> reach = mjslq.costs.Sensor("hand", target=[0.4, 0.3, 0.5], weight=1e3, when="terminal", loss="smooth-abs")
     """
 
     name: str
@@ -222,6 +240,10 @@ class Residual(CostTerm):
 
     Plain Python is called knot by knot. A function compiled by `numba.njit`, which must return a new float64 array or a
     number, complex for complex x and u, runs over the horizon without a Python call per knot.
+
+    Examples
+    --------
+    >>> unit_circle = mjslq.costs.Residual(lambda x, u, t: x[0] ** 2 + x[1] ** 2 - 1.0, weight=10.0)
     """
 
     r: Callable[..., Any]
@@ -260,6 +282,10 @@ class Function(CostTerm):
 
     Plain Python is called knot by knot; a function compiled by `numba.njit`, which must return a number, complex for
     complex x and u, is not.
+
+    Examples
+    --------
+    >>> power = mjslq.costs.Function(lambda x, u, t: (u[0] * x[1]) ** 2)
     """
 
     l: Callable[..., Any]  # noqa: E741  (the field's own name)

@@ -145,8 +145,6 @@ def methods() -> dict[str, MethodInfo]:
 
     Examples
     --------
-    >>> list(mjslq.methods())[:3]
-    ['auto', 'slq', 'newton']
     >>> mjslq.methods()["trust-region"].options["radius"]
     1.0
     """
@@ -227,8 +225,7 @@ def solve(
 
     Examples
     --------
-    >>> problem = mjslq.problems.get("hopper", height=1.0)
-    >>> result = mjslq.solve(problem, "slq", max_iterations=50)
+    >>> result = mjslq.solve(mjslq.problems.get("hopper", height=1.0), "slq", max_iterations=50)
     >>> result.status.value, round(float(result.trajectory.X[-1, 0]), 1)
     ('converged', 1.0)
     """

@@ -45,6 +45,11 @@ class Problem:
     """An optimal control problem over a fixed horizon.
 
     Raises ValueError when sizes do not belong together; the message names the argument.
+
+    >>> cart = mjslq.FunctionDynamics(lambda x, u: np.array([x[1], u[0]]), nx=2, nu=1, dt=0.1)
+    >>> problem = mjslq.Problem(cart, 20, [0.0, 0.0], [mjslq.costs.Control(0.1), mjslq.costs.State(1.0, [1.0, 0.0])])
+    >>> round(problem.cost(problem.rollout([0.0])), 6)
+    1.0
     """
 
     dynamics: Dynamics

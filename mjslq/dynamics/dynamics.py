@@ -52,14 +52,9 @@ DIFFERENCE = 1e-5
 class Dynamics(ABC):
     """A discrete-time system, x_{n+1} = f_n(x_n, u_n); the base class of all engines.
 
-    Examples
-    --------
-    >>> system = mjslq.FunctionDynamics(lambda x, u: np.array([x[1], u[0]]), nx=2, nu=1, dt=0.1)
-    >>> isinstance(system, mjslq.Dynamics)
-    True
-    >>> motion = system.rollout([0.0, 1.0], np.zeros((10, 1)))
-    >>> motion.X[-1].round(6).tolist(), system.linearize(motion).B.shape
-    ([1.0, 1.0], (10, 2, 1))
+    >>> system = mjslq.problems.get("hopper").dynamics
+    >>> isinstance(system, mjslq.Dynamics), system.rollout(np.zeros(4), np.ones((50, 1))).X.shape
+    (True, (51, 4))
     """
 
     space: StateSpace
@@ -145,9 +140,7 @@ class Dynamics(ABC):
 
     @abstractmethod
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
-        """Step `n` of the horizon from state `x` (nx,) under control `u` (nu,).
-
-        Returns the next state (nx,), and the outputs (ny,) read at (x, u).
+        """Step `n` of the horizon: the next state (nx,), and the outputs (ny,) read at (`x`, `u`).
 
         The plain, slow way to the same numbers as `rollout`; tests and derivative checks go it.
         """

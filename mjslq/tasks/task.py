@@ -26,7 +26,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Task:
-    """What a task file states."""
+    """A problem with its method, options and start, as a task file states them.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> text = '''
+    ... model = "ur5"
+    ... horizon = 20
+    ... engine = { timestep = 0.01, armature = 0.01, self_contacts = false }
+    ... costs = [{ kind = "control", weight = 1e-3 }, { kind = "velocities", weight = 1.0 }]
+    ... '''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "rest.toml")
+    ...     _ = file.write_text(text)
+    ...     task = mjslq.load_task(file)
+    >>> task.method, task.problem.horizon
+    ('auto', 20)
+    """
 
     problem: Problem
     """The problem."""
@@ -47,10 +65,27 @@ class Task:
 def load_task(path: str | Path) -> Task:
     """Read a task file, with paths relative to its folder.
 
+    Parameters
+    ----------
+    path : str or path
+        The file (.toml); `mjslq new MODEL` writes one to begin with, and `mjslq schema` prints what it may hold.
+
+    Returns
+    -------
+    Task
+        Its problem, method, options and start.
+
     Raises
     ------
     ValueError
         In one sentence with the line and the key, for what does not fit the file, the model or the method.
+
+    Examples
+    --------
+    >>> mjslq.load_task("none.toml")
+    Traceback (most recent call last):
+        ...
+    mjslq.tasks.reading.TaskError: task file 'none.toml' does not exist; `mjslq new MODEL` writes one to begin with
     """
     file, source = read(path)
     folder = Path(path).expanduser().absolute().parent

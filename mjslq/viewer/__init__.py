@@ -99,9 +99,35 @@ def watch(
 def live(
     mpc: MPC, plant: Any = None, host: str = "127.0.0.1", port: int = 8080, block: bool = True, **options: Any
 ) -> Live:
-    """Run a controller and a plant in the browser, in real time; see `mjslq.viewer.live_view.Live` for the options.
+    """Run a controller and a plant in the browser, in real time.
 
-    Blocks until Ctrl-C unless `block` is False; then the caller stops the `Live` returned.
+    Parameters
+    ----------
+    mpc : MPC
+        The controller.
+    plant : mujoco.MjModel or Dynamics
+        What is controlled; the problem's own engine unless given.
+    host, port
+        Where to serve; a port that is taken gives way to the next free one.
+    block : bool
+        Stay until Ctrl-C. Otherwise return at once; the caller stops the `Live` returned.
+    **options
+        As `mjslq.viewer.live_view.Live` takes them.
+
+    Returns
+    -------
+    Live
+        The server, which runs.
+
+    Raises
+    ------
+    ValueError
+        For what is no controller, a plant of other sizes, and an address of another machine.
+
+    Examples
+    --------
+    >>> controller = mjslq.MPC(mjslq.problems.get("cart_pole"))
+    >>> mjslq.live(controller)  # doctest: +SKIP
     """
     from mjslq.viewer.live_view import Live
     from mjslq.viewer.serving import present
@@ -112,7 +138,26 @@ def live(
 def export_html(result: Result, path: str | os.PathLike[str]) -> None:
     """Write `result` to one HTML file that plays in any browser, from disk and without a network.
 
-    Raises ValueError when the file cannot be written or the result's scene cannot be read.
+    Parameters
+    ----------
+    result : Result
+        Of `mjslq.solve` or `mjslq.load`; needs no solver.
+    path : str or path
+        The file to write, whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        When the file cannot be written, or the result's scene cannot be read.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> result = mjslq.solve(mjslq.problems.get("drag_particle"))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     mjslq.export_html(result, os.path.join(folder, "drag.html"))
+    ...     os.listdir(folder)
+    ['drag.html']
     """
     from mjslq.viewer.export import export_html as write
 

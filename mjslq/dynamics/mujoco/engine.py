@@ -95,6 +95,11 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
         sensors of their own.
 
     They raise ValueError when the model cannot be read, or is not supported.
+
+    >>> from mjslq.robots import robot_spec
+    >>> arm = mjslq.MujocoDynamics.from_spec(robot_spec("ur5"), timestep=0.01, substeps=2)
+    >>> arm.nx, arm.nu, arm.dt
+    (12, 6, 0.02)
     """
 
     def __init__(
@@ -205,7 +210,7 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
         self._threads = min(self._threads, count("threads", number))
 
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
-        """One step by plain calls to mj_step from a clean mjData: the next state (nx,) and the outputs (ny,) at (x, u).
+        """One step by plain calls to mj_step from a clean mjData; see `Dynamics.step`.
 
         The state is NaN when MuJoCo warns of bad numbers or full buffers.
         """
@@ -353,7 +358,7 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
         return Simulator(self.model, self._threads, self.substeps)
 
     def foreseeing(self, foresight: float) -> MujocoDynamics:
-        """The same system whose derivatives foresee contacts from another distance [m]; 0 for the true derivatives."""
+        """The same system whose derivatives foresee contacts from the distance `foresight`; 0 for true ones. [m]"""
         other = copy.copy(self)
         other.foresight = nonnegative("foresight", foresight)
         return other

@@ -48,7 +48,7 @@ _INTEGRATORS = ("semi-implicit-euler", "rk4")
 
 
 class PinocchioDynamics(Dynamics):
-    """A Pinocchio model; make one with `from_path` or `from_model`. Both take the same options:
+    """A URDF robot on Pinocchio; make one with `from_path` or `from_model`, which take the same options.
 
     timestep
         Step length h. [s]
@@ -69,6 +69,12 @@ class PinocchioDynamics(Dynamics):
         given.
 
     They raise ValueError when the model cannot be read or a name is not in it; the message lists those that are.
+
+    Examples
+    --------
+    >>> arm = mjslq.PinocchioDynamics.from_path(mjslq.robot_path("ur5"), timestep=0.01, outputs=["tool0"])
+    >>> arm.nx, arm.nu, arm.output_names
+    (12, 6, ('tool0[0]', 'tool0[1]', 'tool0[2]'))
     """
 
     def __init__(
@@ -225,7 +231,7 @@ class PinocchioDynamics(Dynamics):
             return [self.simulator.simulate(x0, u, feedback) for x0, u in zip(x0s, controls, strict=True)]
 
     def step(self, x: Array, u: Array, n: int = 0) -> tuple[Array, Array]:
-        """One step by the joint-space mass matrix: the next state (nx,) and the outputs (ny,) at (x, u)."""
+        """One step by the joint-space mass matrix; see `Dynamics.step`."""
         x, u = as_array("x", x, (self.nx,)), as_array("u", u, (self.nu,))
         model, data, h = self.model, self.model.createData(), float(self.dt)
         q, v = x[: model.nq].copy(), x[model.nq :].copy()
