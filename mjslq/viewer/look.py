@@ -27,10 +27,12 @@ class Look:
         view: SceneView,
         *,
         skip: tuple[str, ...] = (),
+        still: bool = False,
         on_dark: Callable[[bool], None] | None = None,
     ) -> None:
         """Add a folder for `view`; `skip` names layers that have a switch elsewhere.
 
+        `still` is for a scene that is a backdrop to bodies which others draw: all that it has is light and dark.
         `on_dark` is called when the page turns dark or light.
         """
         self._gui, self._view, self._on_dark = gui, view, on_dark
@@ -39,6 +41,8 @@ class Look:
         with gui.add_folder("Look"):
             self.dark: Any = gui.add_checkbox("Dark", view.dark)
             self.dark.on_update(_from_browser(lambda event: self.set_dark(bool(event.target.value))))
+            if still:
+                return
             self._add_camera()
             for name in PRIMARY:
                 if name in view.layers and name not in skip:
