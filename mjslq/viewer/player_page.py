@@ -91,16 +91,15 @@ class PlayerPage:
             self._costs.mark(float(entry.iteration))
 
     def _add_look(self, gui: viser.GuiApi, player: Player) -> Look | None:
-        """What is shown of the scene; of a scene with several results only the light and the camera can be chosen."""
+        """What is shown of the scene; with several results, whether it is dark."""
         stage = next((view.stage for view in self._views if view.stage is not None), None)
         if stage is None:
             return None
-        skip = ("traces",) if len(self._views) == 1 else tuple(stage.layers)
 
         def noted(dark: bool) -> None:
             player.dark = dark
 
-        return Look(gui, stage, skip=skip, on_dark=noted)
+        return Look(gui, stage, skip=("traces",), still=len(self._views) > 1, on_dark=noted)
 
     def _add_costs(self, gui: viser.GuiApi, iterates: int) -> CostPlot | None:
         results = [view.result for view in self._views]
