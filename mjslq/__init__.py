@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from mjslq.dynamics.pinocchio import PinocchioDynamics as PinocchioDynamics
     from mjslq.exports import export as export
     from mjslq.log import IterationLog as IterationLog
+    from mjslq.method_table import methods as methods
     from mjslq.mpc import MPC as MPC
-    from mjslq.optimize import methods as methods
     from mjslq.optimize import solve as solve
     from mjslq.policy import Policy as Policy
     from mjslq.problem import Problem as Problem
@@ -91,7 +91,7 @@ _HOME = {
     "live": "mjslq.viewer",
     "load": "mjslq.result",
     "load_task": "mjslq.tasks.task",
-    "methods": "mjslq.optimize",
+    "methods": "mjslq.method_table",
     "robot_path": "mjslq.robots",
     "solve": "mjslq.optimize",
     "solve_many": "mjslq.batch",

@@ -277,7 +277,8 @@ def _solve_in_process(problem: Problem, method: str, options: dict[str, Any]) ->
 
 def _refuse_options(method: str, options: Mapping[str, Any]) -> None:
     """Refuse methods and options that no problem is solved with, before anything is. Raises ValueError."""
-    from mjslq.optimize import ALIASES, METHODS, settable, solve
+    from mjslq.method_table import ALIASES, METHODS, settable
+    from mjslq.optimize import solve
 
     choose("method", method, [*METHODS, *ALIASES])
     known, arguments = settable(method), inspect.signature(solve).parameters.values()

@@ -25,7 +25,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjslq import residuals
+from mjslq import binding, residuals
 from mjslq.bound_constraints import BoundConstraint, EndResidual, EntriesResidual
 from mjslq.dynamics.dynamics import Dynamics
 from mjslq.dynamics.records import QUANTITIES, OfFrame, frame_sensor
@@ -154,7 +154,7 @@ class Sensor(Constraint):
                 f"you mean by it with constraints.Path"
             )
         knots = knots_of(self.when, dynamics.steps(N))
-        residual = residuals.bind_output(dynamics, self.sensor, np.zeros(columns.stop - columns.start), knots)
+        residual = binding.bind_output(dynamics, self.sensor, np.zeros(columns.stop - columns.start), knots)
         names = dynamics.output_names[columns]
         interval = Interval(self.lower, self.upper, residual.size, knots, N + 1, names)
         return BoundConstraint(name, residual, *interval(), interval if interval.moves else None)

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjslq import residuals
+from mjslq import binding, residuals
 from mjslq.bound_costs import BoundTerm as BoundTerm
 from mjslq.bound_costs import FunctionCost, ResidualCost
 from mjslq.dynamics.dynamics import Dynamics
@@ -84,8 +84,8 @@ class Tracking(CostTerm):
         R = per_step_matrices("R", self.R, N, dynamics.nu, definite=True)
         running, terminal = (knots_of(when, dynamics.steps(N)) for when in ("running", "terminal"))
         u_target = 0.0 if self.u_target is None else self.u_target
-        path, end = (residuals.bind_state(dynamics, self.x_target, at, "x_target") for at in (running, terminal))
-        controls = residuals.bind_control(dynamics, u_target, running, "u_target")
+        path, end = (binding.bind_state(dynamics, self.x_target, at, "x_target") for at in (running, terminal))
+        controls = binding.bind_control(dynamics, u_target, running, "u_target")
         return (
             *_plain_sum(path, Q, "Tracking, states"),
             *_plain_sum(end, Q_final, "Tracking, final state"),
@@ -120,7 +120,7 @@ class State(CostTerm):
         """See `CostTerm.bind`."""
 
         def make(knots: Knots) -> residuals.BoundResidual:
-            return residuals.bind_state(dynamics, self.target, knots)
+            return binding.bind_state(dynamics, self.target, knots)
 
         return _bind("State", self, dynamics.steps(N), make, self.terminal_weight)
 
@@ -151,7 +151,7 @@ class Control(CostTerm):
         """See `CostTerm.bind`."""
 
         def make(knots: Knots) -> residuals.BoundResidual:
-            return residuals.bind_control(dynamics, self.target, knots)
+            return binding.bind_control(dynamics, self.target, knots)
 
         return _bind("Control", self, dynamics.steps(N), make)
 
@@ -187,7 +187,7 @@ class Sensor(CostTerm):
         """See `CostTerm.bind`."""
 
         def make(knots: Knots) -> residuals.BoundResidual:
-            return residuals.bind_output(dynamics, self.name, self.target, knots)
+            return binding.bind_output(dynamics, self.name, self.target, knots)
 
         return _bind(f"Sensor {self.name!r}", self, dynamics.steps(N), make, self.terminal_weight)
 
@@ -229,7 +229,7 @@ class Frame(CostTerm):
         output = self.output(dynamics)
 
         def make(knots: Knots) -> residuals.BoundResidual:
-            return residuals.bind_output(dynamics, output, self.target, knots)
+            return binding.bind_output(dynamics, output, self.target, knots)
 
         return _bind(f"Frame {self.name!r}, {self.of}", self, dynamics.steps(N), make, self.terminal_weight)
 

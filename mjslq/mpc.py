@@ -36,7 +36,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjslq.optimize import option_names, solve
+from mjslq.method_table import option_names
+from mjslq.optimize import solve
 from mjslq.options import check
 from mjslq.policy import NEAR, Policy
 from mjslq.problem import Problem

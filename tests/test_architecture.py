@@ -20,6 +20,7 @@ GROUND = (
     "mjslq.lq",
     "mjslq.costs",
     "mjslq.residuals",
+    "mjslq.binding",
     "mjslq.losses",
     "mjslq.problem",
     "mjslq.bounds",

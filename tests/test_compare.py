@@ -7,7 +7,7 @@ import pytest
 from constrained_problems import bryson_denham
 
 from mjslq import problems
-from mjslq.optimize import METHODS
+from mjslq.method_table import METHODS
 from mjslq.reports import convergence
 from mjslq.reports.compare import compare, plot
 

@@ -9,7 +9,7 @@ from small_problems import drag, pendulum
 
 import mjslq
 from mjslq import Status, problems, solve
-from mjslq.optimize import PRESETS, option_names
+from mjslq.method_table import PRESETS, option_names
 from mjslq.options import COMMON, RECORDS, SLQOptions, Stopping, TrustRegionOptions, check, names
 
 METHODS = sorted(RECORDS)

@@ -7,7 +7,7 @@ from small_problems import linear, pendulum
 
 import mjslq
 from mjslq import Status, constraints, costs, solve
-from mjslq.optimize import METHODS
+from mjslq.method_table import METHODS
 from mjslq.policy import Policy
 
 BOTH = ("pronto", "gopronto")

@@ -39,7 +39,7 @@ def sweep(
     from mjslq import problems
     from mjslq.batch import solve_many
     from mjslq.executors import open_executor
-    from mjslq.optimize import ALIASES, METHODS, option_names
+    from mjslq.method_table import ALIASES, METHODS, option_names
     from mjslq.reports import sweep as sweeping
     from mjslq.reports.tables import console
     from mjslq.validation import choose, count

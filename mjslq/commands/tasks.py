@@ -16,7 +16,7 @@ from mjslq.commands.common import default_method, is_task, pairs_of, read_value,
 def posed(what: str, method: str | None, settings: list[str]) -> tuple[Any, str, dict[str, Any]]:
     """The problem of a name or a task file, the method to solve it by, and its options."""
     from mjslq import problems
-    from mjslq.optimize import ALIASES, METHODS, settable
+    from mjslq.method_table import ALIASES, METHODS, settable
     from mjslq.validation import choose
 
     if method is not None:

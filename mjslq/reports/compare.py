@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mjslq.optimize import ALIASES, METHODS, solve
+from mjslq.method_table import ALIASES, METHODS
+from mjslq.optimize import solve
 from mjslq.problem import Problem
 from mjslq.reports import convergence, figures
 from mjslq.result import Result

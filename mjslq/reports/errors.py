@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from mjslq.binding import bind_output
 from mjslq.costs import Frame, Sensor
 from mjslq.dynamics.dynamics import Dynamics
 from mjslq.dynamics.records import frame_sensor
 from mjslq.knots import knots_of
 from mjslq.problem import Problem
-from mjslq.residuals import bind_output
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
 

@@ -25,12 +25,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mjslq.binding import bind_control
 from mjslq.bound_constraints import BoundConstraint
 from mjslq.bound_costs import ResidualCost
 from mjslq.knots import knots_of
 from mjslq.losses import Loss, LossCurvature
 from mjslq.problem import Problem
-from mjslq.residuals import bind_control
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array
 

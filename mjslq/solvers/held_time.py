@@ -19,12 +19,12 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from mjslq.binding import bind_control
 from mjslq.bound_costs import BoundTerm, ResidualCost
 from mjslq.knots import knots_of
 from mjslq.losses import bind_loss
 from mjslq.options import Stopping
 from mjslq.problem import Problem
-from mjslq.residuals import bind_control
 from mjslq.solvers.foresight import descend_with_foresight
 from mjslq.solvers.interrupts import Interrupts
 from mjslq.solvers.iterate import Iterate

@@ -101,15 +101,15 @@ def load_task(path: str | Path) -> Task:
 
 def _options(file: TaskFile, source: Source) -> dict[str, Any]:
     """Options of [solve], checked as far as the method's record can."""
-    from mjslq import optimize
+    from mjslq import method_table as table
     from mjslq.options import check
     from mjslq.validation import choose
 
     method, given = file.solve.method, file.solve.options
     with source.at("solve", "method"):
-        choose("method", method, [*optimize.METHODS, *optimize.ALIASES])
+        choose("method", method, [*table.METHODS, *table.ALIASES])
     arguments = ("preset",)
-    known = dict.fromkeys([*optimize.settable(method), *arguments])
+    known = dict.fromkeys([*table.settable(method), *arguments])
     for name, value in given.items():
         with source.at("solve", name):
             choose(f"option of method {method!r}", name, known)
