@@ -64,6 +64,17 @@ def linearization(dynamics, trajectory, repeat):
     return 1e3 * min(times)
 
 
+def iterations(problems, repeat=3):
+    """Least CPU time of an iteration on each of some problems, by turns from the same start. [ms]"""
+    times = [[] for _ in problems]
+    for _ in range(repeat):
+        for found, problem in zip(times, problems, strict=True):
+            begin = time.process_time()
+            result = mjslq.solve(problem, max_iterations=5, tol=0.0)
+            found.append((time.process_time() - begin) / result.iterations)
+    return [1e3 * min(found) for found in times]
+
+
 class Timed(mjslq.MPC):
     """A controller that adds up the iterations of its plans and their CPU time. [s]"""
 
@@ -90,6 +101,8 @@ def main(drive="servo", view=False):
     print(f"{drive}s; the two engines' A differ by {error:.1e} of its largest entry (median of the knots)")
     times = [linearization(ours, plan, 20), linearization(theirs, plan, 3)]
     print(f"a linearization: {times[0]:.1f} ms here, {times[1]:.0f} ms by differences: {times[1] / times[0]:.1f} times")
+    times = iterations([made.on(engine) for engine in (ours, theirs)])
+    print(f"an iteration: {times[0]:.1f} ms here, {times[1]:.0f} ms with differences: {times[1] / times[0]:.1f} times")
     costs, loops = [], []
     for name, engine in (("here", ours), ("differences", theirs)):
         problem = made.on(engine)
@@ -102,7 +115,8 @@ def main(drive="servo", view=False):
             f"{name}: {statistics.plans} plans, {statistics.failed} failed, {mpc.iterations} iterations, "
             f"{mpc.spent:.1f} s; bodies {away.mean():.1f} mm from the clip's on average, {away.max():.0f} at most"
         )
-    print(f"an iteration: {costs[0]:.1f} ms here, {costs[1]:.0f} ms with differences: {costs[1] / costs[0]:.1f} times")
+    ratio = costs[1] / costs[0]
+    print(f"an iteration of these: {costs[0]:.1f} ms here, {costs[1]:.0f} ms with differences: {ratio:.1f} times")
     if view:
         whole = mjslq.problems.get("g1_clip", drive=drive, horizon=loops[0].horizon)
         mjslq.view(mjslq.solve(whole, guess=loops[0], max_iterations=1))
