@@ -112,7 +112,7 @@ class Contacts(Layer):
             nothing = np.zeros((len(moved.times), 0, 3))
             return _Presses(nothing, nothing, nothing, 0.0, 0.0)
         found = contact_forces(self._physics, *moved.states)
-        forces = found.forces * _signs(self._physics, found)[:, :, None]
+        forces = np.nan_to_num(found.forces, posinf=0.0, neginf=0.0) * _signs(self._physics, found)[:, :, None]
         norms = np.linalg.norm(forces, axis=2)
         largest = float(norms.max(initial=0.0))
         usual = np.percentile(norms[norms > 0.01 * largest], _SHARE) if largest > 0.0 else 0.0
