@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from mjslq.viewer.layers.layer import Layer
 from mjslq.viewer.scene import SceneView
 
 if TYPE_CHECKING:
@@ -77,17 +78,22 @@ class Look:
     def _add_layer(self, name: str) -> None:
         layer = self._view.layers[name]
         switch = self._gui.add_checkbox(layer.title, layer.visible, hint=layer.hint or None)
+
+        def switched(event: Any) -> None:
+            layer.visible = bool(event.target.value)
+
+        switch.on_update(_from_browser(switched))
+        self.switches[name] = switch
+        self._add_note(layer)
+
+    def _add_note(self, layer: Layer) -> None:
+        """Add a line that tells what a layer says of itself."""
         note = self._gui.add_html("")
 
         def noted() -> None:
             note.content, note.visible = _NOTE.format(layer.note), bool(layer.note)
 
-        def switched(event: Any) -> None:
-            layer.visible = bool(event.target.value)
-
         layer.noted = noted
-        switch.on_update(_from_browser(switched))
-        self.switches[name] = switch
         noted()
 
     def _add_groups(self) -> None:
@@ -110,6 +116,8 @@ class Look:
         menu: Any = self._gui.add_dropdown(
             "Path of", (_PICK, *traces.points), initial_value=_PICK, hint="Adds a path, or takes it away"
         )
+        if traces.noted is None:
+            self._add_note(traces)
         none = self._gui.add_button("No paths")
 
         def picked(event: Any) -> None:

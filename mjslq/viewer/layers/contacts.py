@@ -14,6 +14,7 @@ import numpy as np
 
 from mjslq.contact import Contact
 from mjslq.dynamics.mujoco.contacts import ContactForces, contact_forces, with_contact
+from mjslq.reports.units import length_unit
 from mjslq.validation import Array
 from mjslq.viewer.layers.layer import Layer, Stage, turn_z_to
 from mjslq.viewer.motion import Frame, Motion
@@ -66,9 +67,10 @@ class Contacts(Layer):
         if presses.largest == 0.0:
             return "Nothing touches in this motion."
         unit = _round(0.25 * self._stage.length / presses.scale)
-        return (
-            f"An arrow of {_length(unit * presses.scale)} is {unit:g} N; the largest force is {presses.largest:.3g} N."
-        )
+        length = length_unit(self._stage.model)
+        newton = " N" if length == "m" else ""  # of a model in other units nobody knows it
+        told = f"An arrow of {_length(unit * presses.scale, length)} is {unit:g}{newton}"
+        return f"{told}; the largest force is {presses.largest:.3g}{newton}."
 
     def _build(self) -> list[Any]:
         scene, length, theme = self._stage.server.scene, self._stage.length, self._stage.theme
@@ -112,7 +114,7 @@ class Contacts(Layer):
             nothing = np.zeros((len(moved.times), 0, 3))
             return _Presses(nothing, nothing, nothing, 0.0, 0.0)
         found = contact_forces(self._physics, *moved.states)
-        forces = found.forces * _signs(self._physics, found)[:, :, None]
+        forces = np.nan_to_num(found.forces, posinf=0.0, neginf=0.0) * _signs(self._physics, found)[:, :, None]
         norms = np.linalg.norm(forces, axis=2)
         largest = float(norms.max(initial=0.0))
         usual = np.percentile(norms[norms > 0.01 * largest], _SHARE) if largest > 0.0 else 0.0
@@ -159,5 +161,5 @@ def _round(value: float) -> float:
     return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1.0 + 1e-9)))
 
 
-def _length(metres: float) -> str:
-    return f"{100.0 * metres:.2g} cm" if metres < 1.0 else f"{metres:.2g} m"
+def _length(length: float, unit: str) -> str:
+    return f"{100.0 * length:.2g} cm" if length < 1.0 and unit == "m" else f"{length:.2g} {unit}"
