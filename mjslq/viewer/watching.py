@@ -212,7 +212,7 @@ class _Window:
         self._card = gui.add_html(panels.solving(problem.name, method, None))
         self._button = gui.add_button("Stop", color="red", icon=viser.Icon.PLAYER_STOP)
         self._which = gui.add_dropdown("Show", WHICH, hint="Which of the iterates moves")
-        self._curves = gui.add_folder("Optimization")
+        self._curves = gui.add_folder("Optimization", visible=False)
         self._costs: CostPlot | None = None
         self._button.on_click(lambda _: self._stop(stop))
         self._which.on_update(lambda event: show(event.target.value))
@@ -254,9 +254,10 @@ class _Window:
         if len(log) > self._known:
             self._known = len(log)
             self._card.content = panels.solving(self._problem.name, self._method, log[-1], stopping)
+            self._curves.visible = True
             with self._curves:
                 if self._costs is None:
-                    self._costs = CostPlot(self._server.gui, log, bool(self._problem.bound_constraints))
+                    self._costs = CostPlot(self._server.gui, log, bool(self._problem.bound_constraints), True)
                 else:
                     self._costs.update(log)
         if self._scene is not None and pair[1] is not self._drawn and finite_knots(pair[1]) > 1:
