@@ -138,7 +138,7 @@ def test_what_moves_and_its_numbers_are_drawn(arm: mjslq.Result) -> None:
         cameras = []
         for trajectory in (calm, wild, lost):
             entry = IterationLog(0, 3.0, 1.0, 1.0, -1.0, 0.5, multiplier=0.25, violation=0.1)
-            drawn._changed = -np.inf
+            drawn._next_change = 0.0
             drawn.draw([entry], (entry, trajectory), False)
             cameras.append(np.array(window.server.initial_camera.position))
         assert "0.25" in drawn._card.content and "solving" in drawn._card.content
