@@ -32,6 +32,8 @@ _IN_FORCE_NOTE = "of the result; bars on the time axis: in force"
 _OF_RESULT_NOTE = "of the result, whichever iterate is shown"
 _ITERATIONS = 600
 """Points of a curve over iterations, at most about."""
+_PULSE = "pulse"
+"""Scale of a column that is not seen; see `UPlot`."""
 _REMOVE = "(remove this plot)"
 _OWN = "(own choice)"
 
@@ -77,12 +79,13 @@ class PlotCard:
             "y_labels": tuple(f"[{unit}]" if unit else "" for unit in drawn.units),
             "height": self._height + round(_BAR_HEIGHT * drawn.bars),
         }
-        if self._plot is None or not self._plot.change(self._data(time), drawn.ranges, look):
+        x_range = (0.0, max(float(one.trajectory.times[-1]) for one in shown))
+        if self._plot is None or not self._plot.change(self._data(time), x_range, drawn.ranges, look):
             for element in (self._plot, self._legend):
                 if element is not None:
                     element.remove()
             with self._holder:
-                self._plot = UPlot(self._gui, self._data(time), drawn.ranges, "time [s]", look)
+                self._plot = UPlot(self._gui, self._data(time), x_range, drawn.ranges, "time [s]", look)
                 self._legend = self._gui.add_html(self._legend_html(time))
         assert self._legend is not None
         self._legend.content = self._legend_html(time)
@@ -193,9 +196,12 @@ class CostPlot:
     Below it the largest violation, where there are constraints.
     """
 
-    def __init__(self, gui: viser.GuiApi, log: Sequence[IterationLog], constrained: bool) -> None:
-        """Add the plots to the current container."""
-        self._gui, self._constrained = gui, constrained
+    def __init__(
+        self, gui: viser.GuiApi, log: Sequence[IterationLog], constrained: bool, growing: bool = False
+    ) -> None:
+        """Add the plots to the current container; a `growing` log gets axes with room, which change seldom."""
+        self._gui, self._constrained, self._growing = gui, constrained, growing
+        self._room: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {}
         self._holder = gui.add_folder(None)
         self._plots: dict[str, UPlot] = {}
         self._curves: dict[str, tuple[Array, Array, tuple[float, float]]] = {}
@@ -219,20 +225,36 @@ class CostPlot:
             iterations, values, y_range = self._curves[what]
             plot.set_data(with_mark(iterations, values, iteration, y_range))
 
+    def _roomy(
+        self, what: str, x_range: tuple[float, float], y_range: tuple[float, float]
+    ) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The axes that a plot has, if they hold these ranges and are not much larger; else axes with room ahead."""
+        (_, end), (low, high) = self._room.get(what, ((0.0, 0.0), (0.0, 0.0)))
+        if end < x_range[1]:
+            end = max(1.5 * x_range[1], 10.0)
+        if low > y_range[0] or high < y_range[1] or high - low > 3.0 * (y_range[1] - y_range[0]):
+            room = 0.25 * (y_range[1] - y_range[0])
+            low, high = y_range[0] - room, y_range[1] + room
+        self._room[what] = ((0.0, end), (low, high))
+        return self._room[what]
+
     def _draw(self, what: str, iterations: Array, values: Array, label: str) -> None:
         keep = series.thinning(values[:, None], _ITERATIONS)
-        iterations, values, y_range = iterations[keep], values[keep], series.value_range(values)
+        iterations, values = iterations[keep], values[keep]
+        x_range, y_range = (0.0, max(float(iterations[-1]), 1.0)), series.value_range(values)
+        if self._growing:
+            x_range, y_range = self._roomy(what, x_range, y_range)
         self._curves[what] = (iterations, values[:, None], y_range)
         data = with_mark(iterations, values[:, None], float(iterations[-1]), y_range)
         points = {"show": len(iterations) <= 40, "size": 5, "fill": series.COLORS[0]}
         style = {"label": label, "stroke": series.COLORS[0], "width": 1.5, "points": points}
         look = {"styles": (style,), "y_labels": (label,), "whole": True}
         plot = self._plots.get(what)
-        if plot is None or not plot.change(data, (y_range,), look):
+        if plot is None or not plot.change(data, x_range, (y_range,), look):
             if plot is not None:
                 plot.remove()
             with self._holder:
-                self._plots[what] = UPlot(self._gui, data, (y_range,), "iteration", look)
+                self._plots[what] = UPlot(self._gui, data, x_range, (y_range,), "iteration", look)
 
 
 class UPlot:
@@ -242,6 +264,7 @@ class UPlot:
         self,
         gui: viser.GuiApi,
         data: tuple[Array, ...],
+        x_range: tuple[float, float],
         ranges: Sequence[tuple[float, float]],
         x_label: str,
         look: dict[str, Any],
@@ -254,11 +277,12 @@ class UPlot:
         """
         from viser import uplot
 
-        self._look, self._ranges, self._nudged = look, tuple(ranges), False
+        self._look, self._ranges, self._turn = look, (x_range, *ranges), 1
         lines: list[Any] = [uplot.Series(label=x_label)]
         plain: Any = {"label": "", "points": {"show": False}, "scale": "y"}
         lines += [plain | style for style in look["styles"]]
-        lines.append(uplot.Series(label="", stroke=MARK, width=1, points=uplot.Series_Points(show=False), scale="y"))
+        lines.append(plain | {"stroke": MARK, "width": 1})
+        lines.append(plain | {"width": 0, "scale": _PULSE})
         axis: dict[str, Any] = {"labelSize": 18, "font": "11px system-ui", "labelFont": "11px system-ui", "labelGap": 0}
         powers = range(0 if look.get("whole") else -6, 6)
         steps = tuple(step * 10.0**power for power in powers for step in (1, 2, 5))
@@ -270,9 +294,9 @@ class UPlot:
             y_axis |= {"label": label} if label else {}
             axes.append(y_axis | ({"side": 1, "grid": {"show": False}} if place else {}))
         self._handle = gui.add_uplot(
-            data,
+            self._with_pulse(data),
             tuple(lines),
-            scales=_scales(ranges),
+            scales=_scales(x_range, ranges),
             axes=tuple(axes),
             legend=uplot.Legend(show=False),
             cursor=uplot.Cursor(show=True, points=uplot.Cursor_Points(show=False)),
@@ -283,30 +307,33 @@ class UPlot:
     def change(
         self,
         data: tuple[Array, ...],
+        x_range: tuple[float, float],
         ranges: Sequence[tuple[float, float]],
         look: dict[str, Any],
     ) -> bool:
         """Show other data in the same look; False where the look is another one, and nothing was done."""
         if look != self._look:
             return False
-        if self._ranges != tuple(ranges):
-            self._ranges = tuple(ranges)
-            self._handle.scales = _scales(ranges)
+        if self._ranges != (x_range, *ranges):
+            self._ranges = (x_range, *ranges)
+            self._handle.scales = _scales(x_range, ranges)
         self.set_data(data)
         return True
 
     def set_data(self, data: tuple[Array, ...]) -> None:
-        """Show other data on the same axes.
+        """Show other data on the same axes."""
+        self._turn = 3 - self._turn
+        self._handle.data = self._with_pulse(data)
 
-        The end of x moves by a bit of its last digit each time, or uPlot (1.6) may show no numbers along it: new data
-        makes it forget to lay out axes whose size has just become known, until the scale changes.
+    def _with_pulse(self, data: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Data with one more column, not seen, whose scale is another one each time.
+
+        Else uPlot (1.6) may show no numbers along x: data that come while a plot finds its place on the page make it
+        forget to lay out the axes, until the scale of one of its curves changes.
         """
-        x = data[0]
-        self._nudged = not self._nudged
-        if self._nudged and len(x):
-            x = x.copy()
-            x[-1] = np.nextafter(x[-1], np.inf)
-        self._handle.data = (x, *data[1:])
+        pulse = np.zeros(len(data[0]))
+        pulse[-1:] = self._turn
+        return (*data, pulse)
 
     def remove(self) -> None:
         """Take it from the page."""
@@ -329,13 +356,14 @@ def add_plot(
     styles = tuple(
         {"label": label, "stroke": color, "width": 1.5} for label, color in zip(labels, series.COLORS, strict=False)
     )
-    UPlot(gui, data, (y_range,), x_label, {"styles": styles, "y_labels": (y_label,), "whole": whole})
+    x_range = (float(x[0]), max(float(x[-1]), float(x[0]) + 1e-9))
+    UPlot(gui, data, x_range, (y_range,), x_label, {"styles": styles, "y_labels": (y_label,), "whole": whole})
 
 
-def _scales(ranges: Sequence[tuple[float, float]]) -> Any:
+def _scales(x_range: tuple[float, float], ranges: Sequence[tuple[float, float]]) -> Any:
     from viser import uplot
 
-    scales: dict[str, Any] = {"x": uplot.Scale(time=False)}
+    scales: dict[str, Any] = {"x": uplot.Scale(time=False, range=x_range), _PULSE: uplot.Scale(auto=True)}
     return scales | {name: uplot.Scale(range=ends) for name, ends in zip(drawing.SCALES, ranges, strict=False)}
 
 

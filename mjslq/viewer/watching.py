@@ -3,8 +3,8 @@
     solver's thread      each iteration leaves its log entry and its trajectory (`Watch.observe`), and goes on
     drawing thread       a few times a second takes what is newest: numbers, curves, motion
 
-What the drawing thread spends is measured, and it sleeps so long that it takes at most `SHARE` of the time. An error in
-it ends the drawing, not the solve.
+What the drawing thread spends on poses, and on changes of all else, is measured, and it waits so long before the next
+that either takes at most `SHARE` of the time. An error in it ends the drawing, not the solve.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from mjslq.viewer.plots import CostPlot
 from mjslq.viewer.scene import SceneView, quiet
 from mjslq.viewer.serving import Served, stay
 
-SHARE = 0.02
-"""Of the time that drawing may take."""
+SHARE = 0.01
+"""Of the time that poses, and that changes of all else, may take. Viser spends about as much on sending them."""
 _FRAMES, _CHANGES = 15.0, 3.0
 """Poses, and changes of numbers, curves and motion, a second at most."""
 _KNOTS = 60
@@ -159,14 +159,12 @@ class Watch(Served):
         assert window is not None
         pause = 1.0 / _FRAMES
         while not self._over.wait(pause):
-            before = clock.thread_time()
+            pair = self._newest if self._which == "newest" else self._best
             try:
-                pair = self._newest if self._which == "newest" else self._best
-                window.draw(list(self._log), pair, self._stopping.is_set())
+                pause = window.draw(self._log, pair, self._stopping.is_set())
             except Exception as error:  # nothing that goes wrong here may harm the solve
                 self.trouble = error
                 return
-            pause = max(1.0 / _FRAMES, (clock.thread_time() - before) / SHARE)
 
     def _end_drawing(self) -> None:
         self._over.set()
@@ -207,7 +205,7 @@ class _Window:
         self._scene = problem.scene()
         self._view: SceneView | None = None
         self._playback = Playback(1.0, playing=True, rest=0.4)
-        self._last = self._changed = clock.monotonic()
+        self._last, self._next_change = clock.monotonic(), 0.0
         self._known = 0
         self._drawn: Any = None
         self._size = 0.0
@@ -220,7 +218,7 @@ class _Window:
         self._card = gui.add_html(panels.solving(problem.name, method, None))
         self._button = gui.add_button("Stop", color="red", icon=viser.Icon.PLAYER_STOP)
         self._which = gui.add_dropdown("Show", WHICH, hint="Which of the iterates moves")
-        self._curves = gui.add_folder("Optimization")
+        self._curves = gui.add_folder("Optimization", visible=False)
         self._costs: CostPlot | None = None
         self._button.on_click(lambda _: self._stop(stop))
         self._which.on_update(lambda event: show(event.target.value))
@@ -231,16 +229,18 @@ class _Window:
             self._boxes = MovingBoxes(model_from_mjb(self._scene.model))
         self._framing = Framing(server, ASPECT)
 
-    def draw(self, log: list[IterationLog], pair: tuple[IterationLog, Trajectory] | None, stopping: bool) -> None:
-        """Show the numbers and curves of `log`, and the motion of the iterate in `pair`."""
-        now = clock.monotonic()
+    def draw(self, log: list[IterationLog], pair: tuple[IterationLog, Trajectory] | None, stopping: bool) -> float:
+        """Show the numbers and curves of `log`, and the motion of the iterate in `pair`; return when to go on. [s]"""
+        now, spent = clock.monotonic(), clock.thread_time()
         with self._server.atomic():
-            if pair is not None and now - self._changed >= 1.0 / _CHANGES:
-                self._changed = now
-                self._change(log, pair, stopping)
+            if pair is not None and now >= self._next_change:
+                self._change(list(log), pair, stopping)
+                spent, before = clock.thread_time(), spent
+                self._next_change = now + max(1.0 / _CHANGES, (spent - before) / SHARE)
             if self._view is not None and self._playback.elapse(now - self._last):
                 self._view.show(self._playback.time)
         self._last = now
+        return max(1.0 / _FRAMES, (clock.thread_time() - spent) / SHARE)
 
     def clear(self) -> None:
         """Take everything from the page but the camera."""
@@ -262,9 +262,10 @@ class _Window:
         if len(log) > self._known:
             self._known = len(log)
             self._card.content = panels.solving(self._problem.name, self._method, log[-1], stopping)
+            self._curves.visible = True
             with self._curves:
                 if self._costs is None:
-                    self._costs = CostPlot(self._server.gui, log, bool(self._problem.bound_constraints))
+                    self._costs = CostPlot(self._server.gui, log, bool(self._problem.bound_constraints), True)
                 else:
                     self._costs.update(log)
         if self._scene is not None and pair[1] is not self._drawn and finite_knots(pair[1]) > 1:

@@ -17,6 +17,7 @@ import pytest
 import mjslq
 from mjslq.log import IterationLog
 from mjslq.viewer import watching
+from mjslq.viewer.plots import CostPlot
 from mjslq.viewer.watching import Watch
 
 REPOSITORY = Path(__file__).parents[2]
@@ -137,11 +138,24 @@ def test_what_moves_and_its_numbers_are_drawn(arm: mjslq.Result) -> None:
         cameras = []
         for trajectory in (calm, wild, lost):
             entry = IterationLog(0, 3.0, 1.0, 1.0, -1.0, 0.5, multiplier=0.25, violation=0.1)
-            drawn._changed = -np.inf
+            drawn._next_change = 0.0
             drawn.draw([entry], (entry, trajectory), False)
             cameras.append(np.array(window.server.initial_camera.position))
         assert "0.25" in drawn._card.content and "solving" in drawn._card.content
         assert np.linalg.norm(cameras[1]) > np.linalg.norm(cameras[0])
+
+
+def test_axes_of_growing_curves_hold_them_and_seldom_change(problem: mjslq.Problem) -> None:
+    log = [IterationLog(i, 1e3 * 0.9**i + 1.0, 1.0, 1.0, -1.0, 1.0) for i in range(200)]
+    with Watch(problem) as window:
+        plot, axes = CostPlot(window.server.gui, log[:1], False, growing=True), []
+        for end in range(1, 201):
+            plot.update(log[:end])
+            (_, last), (low, high) = plot._room["cost"]
+            values = plot._curves["cost"][1]
+            assert last >= end - 1 and low < values.min() and values.max() < high
+            axes.append(plot._room["cost"])
+    assert len(set(axes)) <= 20
 
 
 def test_the_command_watches_and_then_plays(tmp_path: Path) -> None:
