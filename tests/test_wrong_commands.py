@@ -38,7 +38,9 @@ def folder(tmp_path_factory):
 
 
 def run(command, monkeypatch, capsys):
-    """Status, standard output and standard error of a command."""
+    """Status, standard output and standard error of a command; what is compiled meanwhile is not told."""
+    monkeypatch.setattr("mjslq.compiling._say", None)
+    monkeypatch.setattr("mjslq.compiling.announce_compilation", lambda say: None)
     monkeypatch.setattr("sys.argv", ["mjslq", *shlex.split(command)])
     with pytest.raises(SystemExit) as ended:
         cli.main()
