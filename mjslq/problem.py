@@ -32,6 +32,7 @@ from mjslq.markers import markers
 from mjslq.options import check as check_options
 from mjslq.residuals import Slopes
 from mjslq.scene import Scene
+from mjslq.step_lengths import warn_of_constants
 from mjslq.trajectory import Trajectory
 from mjslq.unknowns import Unknowns
 from mjslq.validation import Array, as_array, count, describe, finite, frozen, function, instance, refrozen
@@ -137,9 +138,12 @@ class Problem:
         store(self, "_terms", tuple(bound))
         if self.unknowns is not None:
             acting = [(term.label, term.knots) for term in bound if isinstance(term, KnotTerm)]
-            self.unknowns.refuse_functions((f"costs[{i}]", term) for i, term in enumerate(terms))
-            self.unknowns.refuse_functions((f"constraints[{i}]", term) for i, term in enumerate(self.constraints))
+            named = [*((f"costs[{i}]", term) for i, term in enumerate(terms))]
+            named += [(f"constraints[{i}]", term) for i, term in enumerate(self.constraints)]
+            self.unknowns.refuse_functions(named)
             self.unknowns.refuse_times(acting + [(c.name, c.residual.knots) for c in self.bound_constraints])
+            if self.unknowns.timed:
+                warn_of_constants(dynamics, N, named)
 
     def __getstate__(self) -> dict[str, Any]:
         """What pickle carries: not what is made when first asked for."""

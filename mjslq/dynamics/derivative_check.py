@@ -225,16 +225,27 @@ def fine_reference(dynamics: Dynamics, trajectory: Trajectory, eps: float = 1e-5
 def _step_beside(dynamics: Dynamics, trajectory: Trajectory, varied: str, n: int, d: Array) -> list[Array]:
     """Next state, as a direction from the trajectory's, and outputs, of knot n whose state or control is moved by d.
 
-    Outputs at the last knot are read with zero control.
+    At the last knot there are outputs alone, read at its own time and with zero control.
     """
     N, X = trajectory.horizon, trajectory.X
-    x, u = X[n], trajectory.U[n] if n < N else np.zeros(dynamics.nu)
+    if n == N:
+        return [np.zeros(dynamics.ndx), _last_outputs(dynamics, trajectory, d)]
+    x, u = X[n], trajectory.U[n]
     if varied == "x":
         x = dynamics.integrate(x, d)
     else:
         u = u + d
-    forward, output = dynamics.step(x, u, min(n, N - 1))
-    return [dynamics.difference(X[min(n + 1, N)], forward), output]
+    forward, output = dynamics.step(x, u, n)
+    return [dynamics.difference(X[n + 1], forward), output]
+
+
+def _last_outputs(dynamics: Dynamics, trajectory: Trajectory, d: Array) -> Array:
+    """Outputs at the last knot, whose state is moved by d: `step` has none at its time, and `step_each` reads all."""
+    if not dynamics.ny:
+        return np.zeros(0)
+    X = trajectory.X.copy()
+    X[-1] = dynamics.integrate(X[-1], d)
+    return dynamics.step_each(X, trajectory.U)[1][-1]
 
 
 def _sides(dynamics: Dynamics, trajectory: Trajectory, name: str, n: int, column: int) -> list[tuple[Array, Array]]:

@@ -155,7 +155,7 @@ class FunctionDynamics(Dynamics):
             choose("jacobian", jacobian, ("complex-step", "finite-difference"))
         self._given_hessian = None if hessian is None else function("hessian", hessian)
         self.compiled = isinstance(f, Dispatcher)
-        self._f, self._given = with_all_arguments(f, self.compiled, size=self.nx), (f, outputs)
+        self._f, self.functions = with_all_arguments(f, self.compiled, size=self.nx), (f, outputs)
         self._scene = scene
         probe(self._f, self.nx, self.nu, self.parameters)
         self._pullback = pullback
@@ -185,7 +185,7 @@ class FunctionDynamics(Dynamics):
         """See `Dynamics`."""
         by_differences = state["_by_differences"]
         super().__setstate__({name: value for name, value in state.items() if name != "_by_differences"})
-        f, outputs = self._given
+        f, outputs = self.functions
         self._f = with_all_arguments(f, self.compiled, size=self.nx)
         self._read, self._reads_compiled, self.ny = reading(outputs, self.nx, self.nu, self.parameters)
         self._steps, self._readings = self._derivatives(*by_differences)
@@ -261,7 +261,7 @@ class FunctionDynamics(Dynamics):
 
     def by_stretch(self, X: Array, U: Array, ends: Array) -> tuple[Array, Array] | None:
         """By complex steps; see `Dynamics.by_stretch`."""
-        (f, outputs), times = self._given, self._knots(U)[0]
+        (f, outputs), times = self.functions, self._knots(U)[0]
         S = self._steps.by_stretch(*self._time_grid(len(U)), X, U, takes_time(f))
         clock = self.ny > 0 and takes_time(outputs)
         G = self._readings.by_clock(times, X, self._knots(U)[1]) if clock else np.zeros((len(X), self.ny))
@@ -337,7 +337,7 @@ class FunctionDynamics(Dynamics):
 
     def _derivatives(self, of_steps: bool, of_readings: bool) -> tuple[Derivatives, Derivatives]:
         """Derivatives of steps and of outputs, by differences or not."""
-        (f, outputs), p = self._given, self.parameters
+        (f, outputs), p = self.functions, self.parameters
         return (
             Derivatives("f", self._f, f, self.compiled, self._code, self._nv, p, of_steps),
             Derivatives(
