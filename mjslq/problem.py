@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike
 
 from mjslq import constraints as kinds
 from mjslq.bound_constraints import BoundConstraint
-from mjslq.bound_costs import KnotTerm
 from mjslq.bounds import Bounds
 from mjslq.costs import BoundTerm, CostTerm, Expansion
 from mjslq.dynamics.dynamics import Dynamics, Linearization
@@ -32,7 +31,6 @@ from mjslq.markers import markers
 from mjslq.options import check as check_options
 from mjslq.residuals import Slopes
 from mjslq.scene import Scene
-from mjslq.step_lengths import warn_of_constants
 from mjslq.trajectory import Trajectory
 from mjslq.unknowns import Unknowns
 from mjslq.validation import Array, as_array, count, describe, finite, frozen, function, instance, refrozen
@@ -137,13 +135,7 @@ class Problem:
         store(self, "costs", tuple(terms))
         store(self, "_terms", tuple(bound))
         if self.unknowns is not None:
-            acting = [(term.label, term.knots) for term in bound if isinstance(term, KnotTerm)]
-            named = [*((f"costs[{i}]", term) for i, term in enumerate(terms))]
-            named += [(f"constraints[{i}]", term) for i, term in enumerate(self.constraints)]
-            self.unknowns.refuse_functions(named)
-            self.unknowns.refuse_times(acting + [(c.name, c.residual.knots) for c in self.bound_constraints])
-            if self.unknowns.timed:
-                warn_of_constants(dynamics, N, named)
+            self.unknowns.check(self)
 
     def __getstate__(self) -> dict[str, Any]:
         """What pickle carries: not what is made when first asked for."""

@@ -9,17 +9,18 @@ the first step's control sets (`dynamics.augmented`). All methods solve that one
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mjslq.bound_costs import KnotTerm
 from mjslq.dynamics.augmented import Augmented
 from mjslq.dynamics.dynamics import Dynamics
-from mjslq.knots import Knots
 from mjslq.lift import Lift
 from mjslq.lq.box import Box
+from mjslq.step_lengths import warn_of_constants
 from mjslq.time_costs import UnusedControls
 from mjslq.trajectory import Trajectory
 from mjslq.validation import Array, choose, frozen
@@ -77,24 +78,31 @@ class Unknowns:
             raise ValueError(f"{'free_time' if made.timed else 'free_parameters'}: {error}") from None
         return made
 
-    def refuse_times(self, knots: Iterable[tuple[str, Knots]]) -> None:
-        """Raise ValueError where something acts at a given time, at which there may be no knot: (what, where)."""
-        for what, at in knots:
-            if self.timed and at.by_time:
-                raise ValueError(
-                    f"{what}: when names times, but the final time is free, and with it the times of the knots; name "
-                    f"knots by their indices"
-                )
+    def check(self, problem: Problem) -> None:
+        """Refuse what belongs to given times, at which there may be no knot once the final time is free.
 
-    def refuse_functions(self, terms: Iterable[tuple[str, Any]]) -> None:
-        """Raise ValueError where a target or limit is a function of time: (what, term of `costs` or `constraints`)."""
-        for what, term in terms:
+        Raises ValueError, and warns of functions that hold the length of a step as a number (`mjslq.step_lengths`).
+        """
+        if not self.timed:
+            return
+        named: list[tuple[str, Any]] = [(f"costs[{i}]", term) for i, term in enumerate(problem.costs)]
+        named += [(f"constraints[{i}]", term) for i, term in enumerate(problem.constraints)]
+        for what, term in named:
             for name in _TARGETS:
-                if self.timed and callable(getattr(term, name, None)):
+                if callable(getattr(term, name, None)):
                     raise ValueError(
                         f"{what}: {name} is a function of time, but the final time is free, and with it the times of "
                         f"the knots; give an array with a row for each knot, or a costs.Residual, which sees the time"
                     )
+        acting = [(term.label, term.knots) for term in problem.bound_terms if isinstance(term, KnotTerm)]
+        acting += [(c.name, c.residual.knots) for c in problem.bound_constraints]
+        for what, knots in acting:
+            if knots.by_time:
+                raise ValueError(
+                    f"{what}: when names times, but the final time is free, and with it the times of the knots; name "
+                    f"knots by their indices"
+                )
+        warn_of_constants(problem.dynamics, problem.horizon, named)
 
     def fixed(self, problem: Problem, values: Mapping[str, float]) -> Problem:
         """The problem with its unknowns at given values, by name. Raises ValueError."""
