@@ -7,6 +7,7 @@ the result, so that `--json` can be piped.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
@@ -108,7 +109,8 @@ def solve(
     if watch:
         from mjslq.viewer import watch as watching
 
-        window = watching(stated, method, host, port, block=False, **options)
+        with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
+            window = watching(stated, method, host, port, block=False, **options)
     result = run(stated, method, **options) if window is None else window.result
     if as_json:
         print(json.dumps(as_dict(result), allow_nan=False))
