@@ -137,7 +137,8 @@ def solve(
     if watch:
         from mjslq.viewer import watch as watching
 
-        window = watching(stated, method, host, port, block=False, dark=dark, **options)
+        with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
+            window = watching(stated, method, host, port, block=False, dark=dark, **options)
     result = run(stated, method, **options) if window is None else window.result
     if save is not None:
         keep(result, save)  # before anything is printed, which may fail

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -159,18 +160,19 @@ def test_axes_of_growing_curves_hold_them_and_seldom_change(problem: mjslq.Probl
 
 
 def test_the_command_watches_and_then_plays(tmp_path: Path) -> None:
-    arguments = ["solve", "drag_particle", "-s", "beta=0.01", "--watch", "--save", str(tmp_path / "drag.npz")]
+    arguments = ["solve", "drag_particle", "-s", "beta=0.01", "--watch", "--json", "--save", str(tmp_path / "drag.npz")]
     process = subprocess.Popen(
         [sys.executable, "-m", "mjslq.cli", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs of a shell ignore it
     )  # fmt: skip
     assert process.stdout is not None and process.stderr is not None
-    assert process.stdout.readline().startswith("viewer at http://127.0.0.1:")
+    assert process.stderr.readline().startswith("viewer at http://127.0.0.1:")
     for line in process.stderr:
         if line.startswith("the solve has ended"):
             break
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=30)
     assert process.returncode == 0 and "Traceback" not in err
+    assert json.loads(out)["status"] == "converged"
     assert mjslq.load(tmp_path / "drag.npz").success
