@@ -85,7 +85,7 @@ def test_hold_of_a_state_that_moves_by_itself_and_of_one_that_blows_up():
 
 @pytest.mark.parametrize("x", [[0.0], [0.0, np.nan], "home"])
 def test_hold_refuses_what_is_no_state(x):
-    with pytest.raises(ValueError, match=r"^x0 must"):
+    with pytest.raises(ValueError, match=r"^x must"):
         starts.hold(pendulum(), x)
 
 
@@ -143,7 +143,7 @@ def test_servo_keeps_to_the_limits():
         ({"stiffness": -1.0}, "stiffness must be positive and finite, got -1.0"),
         ({"stiffness": "hard"}, "stiffness must be a number, got str 'hard'"),
         ({"damping": 0.0}, "damping must be positive and finite, got 0.0"),
-        ({"target": [0.0]}, r"x0 must have shape \(2,\), got \(1,\)"),
+        ({"target": [0.0]}, r"target must have shape \(2,\), got \(1,\)"),
     ],
 )
 def test_wrong_servos_are_refused_in_one_sentence(arguments, sentence):
@@ -281,13 +281,13 @@ def test_a_guess_beyond_the_limits_is_clipped_and_the_message_says_so(make):
         ),
         ({"guess": np.zeros((41, 1))}, r"got shape \(41, 1\)"),
         ({"guess": 3.0}, r"got shape \(\)"),
-        ({"guess": "best"}, "guess must be an array of numbers, got str 'best'"),
+        ({"guess": "best"}, "guess must be a Result, .* or an array of controls or states, got str 'best'"),
         ({"guess": np.full((40, 1), np.nan)}, r"guess must be finite, but guess\[0, 0\] is nan"),
         ({"guess": np.zeros((40, 1)), "U0": [0.0]}, "give either guess or U0 and X0, not both"),
         ({"guess": np.zeros((40, 1)), "X0": np.zeros((41, 2))}, "give either guess or U0 and X0, not both"),
         (
             {"guess": Trajectory(np.zeros((31, 2)), np.zeros((30, 1)))},
-            r"must have shape \(40, 1\) or \(1,\), got \(30, 1\)",
+            "the guess is a trajectory of 30 steps and 1 controls, but the problem has 40 and 1",
         ),
         (
             {"guess": Policy(np.zeros((41, 3)), np.zeros((40, 1)))},
