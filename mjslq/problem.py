@@ -138,7 +138,7 @@ class Problem:
         store(self, "_terms", tuple(bound))
         if self.unknowns is not None:
             acting = [(term.label, term.knots) for term in bound if isinstance(term, KnotTerm)]
-            named = [*((f"costs[{i}]", term) for i, term in enumerate(terms))]
+            named: list[tuple[str, Any]] = [(f"costs[{i}]", term) for i, term in enumerate(terms)]
             named += [(f"constraints[{i}]", term) for i, term in enumerate(self.constraints)]
             self.unknowns.refuse_functions(named)
             self.unknowns.refuse_times(acting + [(c.name, c.residual.knots) for c in self.bound_constraints])

@@ -39,9 +39,9 @@ def warn_of_constants(dynamics: Dynamics, N: int, terms: Iterable[tuple[str, Any
     places += [f"dynamics: {place}" for place in _places_in_dynamics(dynamics, length)]
     if places:
         warnings.warn(
-            f"{'; '.join(places)} {'are' if len(places) > 1 else 'is'} {length:g}, the length of a step as it was given, "
-            f"and will not stretch with the final time, which is free; let the function read the time t, or pose the "
-            f"problem anew at the time that was found",
+            f"{'; '.join(places)} {'are' if len(places) > 1 else 'is'} {length:g}, the length of a step as it was "
+            f"given, and will not stretch with the final time, which is free; let the function read the time t, or "
+            f"pose the problem anew at the time that was found",
             stacklevel=4,
         )
 
