@@ -18,7 +18,6 @@ import typer
 
 from mjslq.commands import explaining, exporting, measuring, sweeping, tasks
 from mjslq.commands.common import (
-    MODELS,
     Dark,
     Host,
     Json,
@@ -26,9 +25,12 @@ from mjslq.commands.common import (
     Settings,
     View,
     announce,
+    is_model,
     keep,
+    model_of,
     refuse_address,
     refuse_model,
+    refuse_names,
     refuse_unwritable,
     sort_settings,
 )
@@ -164,24 +166,28 @@ def solve(
 @app.command()
 def view(
     files: Annotated[
-        list[Path],
-        typer.Argument(metavar="FILE...", help="Results that `solve --save` wrote, or a model (.xml, .urdf, .mjb)."),
+        list[str],
+        typer.Argument(
+            metavar="FILE...",
+            help="Results that `solve --save` wrote; or a model (.xml, .urdf, .mjb), a robot's name or menagerie:NAME.",
+        ),
     ],
     host: Host = "127.0.0.1",
     port: Port = 8080,
     dark: Dark = False,
 ) -> None:
     """Show a saved result in a browser, or several to compare; or a model, with its keyframes and joint sliders."""
-    models = [file for file in files if file.suffix.lower() in MODELS]
+    models = [what for what in files if is_model(what)]
     if models and len(files) > 1:
         raise ValueError(f"a model is viewed alone, and {models[0]} is one; results can be compared, up to eight")
     if models:
-        file = models[0]
-        from mjslq.dynamics.mujoco import MujocoDynamics
+        model = model_of(models[0])
+        assert model is not None
         from mjslq.viewer.model_view import view_model
 
-        view_model(MujocoDynamics.from_path(file), host, port, dark=dark)
+        view_model(model, host, port, dark=dark)
         return
+    refuse_names(files)
     from mjslq.result import load
     from mjslq.viewer import view as show
 

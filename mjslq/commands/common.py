@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from mjslq.dynamics.mujoco import MujocoDynamics
     from mjslq.result import Result
 
 Port = Annotated[int, typer.Option(help="Port of the viewer; the next free one is taken if it is busy.")]
@@ -28,6 +30,47 @@ Json = Annotated[bool, typer.Option("--json", help="Print the numbers as one JSO
 def is_task(what: str) -> bool:
     """Whether a command was given a task file."""
     return Path(what).suffix.lower() == ".toml"
+
+
+def is_model(what: str) -> bool:
+    """Whether `model_of` finds a model, if it can be read: a file named so, or a name that no file here has."""
+    from mjslq.tasks.engines import MENAGERIE
+
+    if what.startswith(MENAGERIE) or Path(what).suffix.lower() in MODELS:
+        return True
+    from mjslq.robots import robot_names
+
+    return what in robot_names() and not Path(what).exists()
+
+
+def model_of(what: str) -> MujocoDynamics | None:
+    """The model of a file, a robot's name or `menagerie:NAME`; None for what is none of these.
+
+    Raises ValueError for models that cannot be read, and `menagerie:` with another name.
+    """
+    if not is_model(what):
+        return None
+    from mjslq.dynamics.mujoco import MujocoDynamics
+    from mjslq.robots import robot_names, robot_spec
+    from mjslq.tasks.engines import file_of
+
+    if what in robot_names():
+        return MujocoDynamics.from_spec(robot_spec(what), name=what)
+    return MujocoDynamics.from_path(file_of(what, Path()))
+
+
+def refuse_names(files: list[str]) -> None:
+    """Refuse names where files of results are wanted, and say what else can be looked at."""
+    from mjslq import problems
+    from mjslq.robots import robot_names
+    from mjslq.validation import choose
+
+    for what in files:
+        if Path(what).suffix or os.sep in what or Path(what).exists():
+            continue
+        if what in problems.names():
+            raise ValueError(f"{what!r} is a problem; solve it and look at it with `mjslq solve {what} --view`")
+        choose("file or robot", what, robot_names())
 
 
 def refuse_model(what: str) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mjslq.commands.common import Json, announce, is_task, refuse_unwritable
+from mjslq.commands.common import MODELS, Json, announce, is_task, model_of, refuse_unwritable
 
 if TYPE_CHECKING:
     from mjslq.dynamics.dynamics import Dynamics
@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 
 def check(
     what: Annotated[
-        str, typer.Argument(help="A model (.xml, .urdf, .mjb), a task file (.toml) or a problem of `mjslq list`.")
+        str,
+        typer.Argument(
+            help="A model (.xml, .urdf, .mjb), a robot's name, menagerie:NAME, a task file (.toml) or a problem of "
+            "`mjslq list`."
+        ),
     ],
     steps: Annotated[int, typer.Option(help="Length of the motion along which derivatives are checked.")] = 20,
     seed: Annotated[int, typer.Option(help="Of the random controls that make the motion.")] = 0,
@@ -164,14 +168,17 @@ def _dynamics_of(what: str) -> tuple[Dynamics, Any]:
         return _solved(load_task(what).problem)
     if what in problems.names():
         return _solved(problems.get(what))
-    if Path(what).suffix.lower() in (".xml", ".urdf", ".mjb") or os.sep in what:
+    if os.sep in what and Path(what).suffix.lower() not in MODELS:
         from mjslq.dynamics.mujoco import MujocoDynamics
 
-        dynamics = MujocoDynamics.from_path(what)
+        dynamics: MujocoDynamics | None = MujocoDynamics.from_path(what)  # which says what models are
+    else:
+        dynamics = model_of(what)
+    if dynamics is not None:
         return dynamics, dynamics.initial_state
     raise ValueError(
-        f"{what!r} is neither a model file (.xml, .urdf, .mjb), a task file (.toml) nor a problem; problems: "
-        f"{', '.join(problems.names())}"
+        f"{what!r} is neither a model file (.xml, .urdf, .mjb), a task file (.toml), a robot's name nor a problem; "
+        f"problems: {', '.join(problems.names())}"
     )
 
 

@@ -52,7 +52,7 @@ def make(
             if kind != engine.kind and getattr(engine, key) is not None:
                 raise TaskError(source.sentence(("engine", key), f"is for kind = {kind!r}, not {engine.kind!r}"))
     with source.at("model"):
-        file = _file_of(task.model, folder)
+        file = file_of(task.model, folder)
     if engine.kind == "pinocchio":
         return _pinocchio(task, file, clips, source)
     return _mujoco(task, file, folder, clips, source)
@@ -64,7 +64,7 @@ def names_a_file(model: str) -> bool:
     return is_path and not model.startswith(MENAGERIE)
 
 
-def _file_of(model: str, folder: Path) -> Path:
+def file_of(model: str, folder: Path) -> Path:
     """The file that `model` names."""
     if model.startswith(MENAGERIE):
         return _menagerie(model.removeprefix(MENAGERIE))

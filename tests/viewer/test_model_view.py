@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from test_viewer_browser import WINDOW, orange, rendered
 
-from mjslq import MujocoDynamics
+from mjslq import MujocoDynamics, cli
+from mjslq.viewer import model_view
 from mjslq.viewer.model_view import ModelView
 
 MODEL = """
@@ -70,3 +71,12 @@ def test_the_robot_is_drawn_and_moves_in_a_browser(browser: Any) -> None:
         view.move("shoulder", -1.5)
         rendered(client, lambda picture: int((np.abs(picture - before).max(axis=2) > 40).sum()) > 100)
         page.close()
+
+
+def test_robots_are_viewed_and_checked_by_name(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
+    shown: list[Any] = []
+    monkeypatch.setattr(model_view, "view_model", lambda dynamics, host, port, **_: shown.append(dynamics))
+    cli.app(["view", "go2"], standalone_mode=False)
+    assert shown[0].name == "go2" and shown[0].nu == 12
+    assert cli.app(["check", "two_dofs", "--steps", "2"], standalone_mode=False) == 0
+    assert "the Jacobians agree" in capsys.readouterr().out
