@@ -107,7 +107,7 @@ def test_a_given_hessian_is_used():
     trajectory = wrong.rollout([0.0, 0.0], np.zeros((2, 1)))
     with pytest.raises(ValueError, match=r"hessian must return H_xx, H_ux and H_uu of shapes .*\(2, 2\).*got \(3, 3\)"):
         wrong.hessian(trajectory, np.ones((3, 2)))
-    with pytest.raises(ValueError, match="hessian must be a function of"):
+    with pytest.raises(ValueError, match="hessian must be a function, got str"):
         FunctionDynamics(lambda x, u: x, 2, 1, 1.0, hessian="exact")
 
 
