@@ -114,7 +114,7 @@ class Control(Constraint):
         return Box(*self._interval(dynamics, N)())
 
     def at(self, t0: float, dynamics: Dynamics, N: int) -> Box | None:
-        """The limits on a horizon that begins at `t0` [s]; None where they do not depend on time. Raises ValueError."""
+        """The limits over `N` steps of `dynamics` from `t0` [s]; None if they do not depend on time. ValueError."""
         interval = self._interval(dynamics, N)
         return Box(*interval(t0)) if interval.moves else None
 
@@ -162,7 +162,10 @@ class Sensor(Constraint):
 
 @dataclass(frozen=True)
 class Frame(Constraint):
-    """Limits of a frame's position or velocities, in the world's axes; see `mjslq.costs.Frame` for frames."""
+    """Limits of a frame's position or velocities, in the world's axes; see `mjslq.costs.Frame` for frames.
+
+    >>> above = mjslq.constraints.Frame("hand", lower=[-np.inf, -np.inf, 0.05])
+    """
 
     frame: str
     """The frame's name: a body, site, geom or camera; with Pinocchio a frame of the model."""

@@ -194,12 +194,16 @@ class Sensor(CostTerm):
 
 @dataclass(frozen=True)
 class Frame(CostTerm):
-    """The same of a frame: where a body, site, geom or camera is, how it is turned, how fast it moves or turns.
+    """1/2 weight |quantity - target|^2, or another loss, of a frame: place, orientation or velocity of a body or site.
 
     The engine reads it by a sensor of the model, or one that was added by `MujocoDynamics.from_path(...,
     frames=["hand"])`; Pinocchio's by `outputs=("hand", "hand.orientation")`, without velocities. Positions [m] and
     velocities [m/s, rad/s] are in the world's axes, orientations unit quaternions (w, x, y, z), compared by the
     rotation vector [rad] between them and the target.
+
+    Examples
+    --------
+    >>> reach = mjslq.costs.Frame("hand", target=[0.4, 0.3, 0.5], weight=1e3, when="terminal")
     """
 
     name: str
@@ -221,7 +225,7 @@ class Frame(CostTerm):
     """With when="always": the weight of the terminal value; `weight` unless given. Shape as `weight`."""
 
     def output(self, dynamics: Dynamics) -> str:
-        """Name of the engine's output that reads the frame. Raises ValueError."""
+        """Name of the output of `dynamics` that reads the frame. Raises ValueError."""
         return dynamics.frame_output(self.name, choose("quantity of a frame", self.of, QUANTITIES))
 
     def bind(self, dynamics: Dynamics, N: int) -> tuple[BoundTerm, ...]:
@@ -313,7 +317,12 @@ class Function(CostTerm):
 
 @dataclass(frozen=True)
 class Time(CostTerm):
-    """The duration T itself, times a weight: for problems whose final time is free, minimum time for one."""
+    """The duration T itself, times a weight: for problems whose final time is free, minimum time for one.
+
+    Examples
+    --------
+    >>> hurry = mjslq.costs.Time(1.0)
+    """
 
     weight: float = 1.0
     """Cost of a second; a number of any sign."""

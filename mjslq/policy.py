@@ -137,7 +137,7 @@ class Policy:
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Policy:
-        """Read what `save` wrote.
+        """Read the file `path` that `save` wrote.
 
         Raises FileNotFoundError when there is no such file, ValueError when it is something else than a policy.
         """

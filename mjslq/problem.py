@@ -176,7 +176,7 @@ class Problem:
             store(self, "box", self.box.within(box, self.dynamics.control_names))
 
     def at(self, x0: ArrayLike, t0: float = 0.0) -> Problem:
-        """The same problem from another initial state (nx,), on a horizon that begins at the time `t0` [s].
+        """The same problem from the initial state `x0` (nx,), on a horizon that begins at the time `t0` [s].
 
         Functions of time see t0 + t_n: `costs.Residual` and `Function`, `constraints.Path`, and targets and limits that
         are functions. Arrays with a row for each knot, and `when`, belong to the knots and move along. Shares
@@ -198,7 +198,7 @@ class Problem:
         return moved
 
     def with_constraints(self, constraints: tuple[BoundConstraint, ...]) -> Problem:
-        """The same problem with these in place of its `bound_constraints`."""
+        """The same problem with `constraints` in place of its `bound_constraints`."""
         made = self._copied()
         object.__setattr__(made, "bound_constraints", constraints)
         return made
@@ -235,7 +235,7 @@ class Problem:
         return self if self.unknowns is None else self.unknowns.pose(self)
 
     def fixed(self, values: Mapping[str, float]) -> Problem:
-        """The same problem with its free time and parameters at given values, such as `Result.unknowns`.
+        """The same problem with its free time and parameters at `values` by name, such as `Result.unknowns`.
 
         Those that are not named stay at their first values. For whatever takes a fixed horizon: `MPC`, simulation.
         Raises ValueError for names that are not free and values beyond their limits.
@@ -248,7 +248,7 @@ class Problem:
         return self._terms
 
     def on(self, dynamics: Dynamics) -> Problem:
-        """The same problem on an engine that differs from its own in nothing but the derivatives that it gives."""
+        """The same problem on `dynamics`, which differ from its own in nothing but the derivatives that they give."""
         moved = copy.copy(self)
         object.__setattr__(moved, "dynamics", dynamics)
         return moved
@@ -258,7 +258,7 @@ class Problem:
         return self.dynamics.rollout(self.x0, self.checked_controls(U))
 
     def violation(self, trajectory: Trajectory) -> float:
-        """Largest violation of a constraint or of a control's limits; 0 when all are met, infinite if diverged."""
+        """Largest violation of a limit or constraint along `trajectory`; 0 if all are met, infinite if it diverged."""
         self._check(trajectory)
         if self.unknowns is not None:
             return self.lifted.violation(self.unknowns.extended(self, trajectory))
@@ -269,20 +269,20 @@ class Problem:
         return max(controls, *worst) if self.bound_constraints else controls
 
     def violations(self, trajectory: Trajectory) -> dict[str, Array]:
-        """Violation of each constraint at each knot, by its name; zero where it does not act. Shape (N + 1,)."""
+        """Violation of each constraint at each knot of `trajectory`, by name; zero where it does not act. (N + 1,)."""
         if self.unknowns is not None:
             return self.lifted.violations(self.unknowns.extended(self, trajectory))
         return {c.name: c.over_knots(c.violation(trajectory)) for c in self.bound_constraints}
 
     def penalized(self, terms: Sequence[BoundTerm]) -> Problem:
-        """The same problem with more terms in its cost; `unpenalized` leads back."""
+        """The same problem with more `terms` in its cost; `unpenalized` leads back."""
         made = copy.copy(self.unpenalized)
         object.__setattr__(made, "_terms", (*made._terms, *terms))
         object.__setattr__(made, "_unpenalized", self.unpenalized)
         return made
 
     def with_terms(self, terms: Sequence[BoundTerm]) -> Problem:
-        """The same problem with more terms that belong to it."""
+        """The same problem with more `terms` that belong to it."""
         made = copy.copy(self)
         object.__setattr__(made, "_terms", (*self._terms, *terms))
         return made
@@ -293,12 +293,12 @@ class Problem:
         return self if self._unpenalized is None else self._unpenalized
 
     def cost(self, trajectory: Trajectory) -> float:
-        """Total cost J; infinite for a trajectory that diverged."""
+        """Total cost J of `trajectory`; infinite where it diverged. Raises ValueError for one of another problem."""
         self._check(trajectory)
         return self.total(self.costs_of_terms(trajectory))
 
     def costs_of_terms(self, trajectory: Trajectory) -> list[float]:
-        """Cost of each bound term; infinite for a trajectory that diverged."""
+        """Cost of each bound term along `trajectory`; infinite where it diverged."""
         if self.unknowns is not None:
             return self.lifted.costs_of_terms(self.unknowns.extended(self, trajectory))[: len(self._terms)]
         if trajectory.diverged:
@@ -312,11 +312,11 @@ class Problem:
         return total if math.isfinite(total) else math.inf
 
     def named(self, costs_of_terms: Sequence[float]) -> dict[str, float]:
-        """Cost of each term by what it is and where it acts; equal ones are numbered from the second on."""
+        """The `costs_of_terms` by what a term is and where it acts; equal ones are numbered from the second on."""
         return dict(zip(self._labels(), costs_of_terms, strict=False))  # penalties may come after
 
     def residual_sizes(self, trajectory: Trajectory) -> dict[str, Array]:
-        """Length |r| of each cost's residual at each knot, named as by `named`; NaN where it does not act. (N + 1,)
+        """Length |r| of each residual along `trajectory`, named as by `named`; NaN where it does not act. (N + 1,)
 
         User's functions (`costs.Residual`, `costs.Function`) are left out; none for a trajectory that diverged.
         """
@@ -339,7 +339,7 @@ class Problem:
         return found
 
     def expand(self, trajectory: Trajectory, linearization: Linearization | None = None) -> Expansion:
-        """Second-order (Gauss-Newton) expansion of the cost about `trajectory`."""
+        """Gauss-Newton expansion of the cost about `trajectory`, whose `linearization` is made unless given."""
         if linearization is None:
             linearization = self.dynamics.linearize(trajectory)
         expansion = Expansion(*(part.copy() for part in self._prepared))
@@ -356,7 +356,7 @@ class Problem:
         return slopes
 
     def complete(self, trajectory: Trajectory, expansion: Expansion) -> tuple[Expansion, Array]:
-        """Second-order expansion with the whole Hessian, from the Gauss-Newton one, and dJ/dy.
+        """Expansion about `trajectory` with the whole Hessian, from `expansion`, the Gauss-Newton one, and dJ/dy.
 
         Outputs enter the Hessian with their own second derivatives, contracted with dJ/dy, shape (N + 1, ny), which
         `Dynamics.hessian` takes as `weights`.
@@ -368,9 +368,10 @@ class Problem:
         return full, weights
 
     def complete_ends(self, trajectory: Trajectory, linearization: Linearization, full: Expansion) -> Array:
-        """Add to `full` what `complete` cannot: the part of terms of the ends of steps, w(x_{n+1}, u_n).
+        """Add to `full` what `complete` cannot: terms of the ends of the steps of `trajectory`, w(x_{n+1}, u_n).
 
-        Returns what weighs the second derivatives of the steps beside the costates. Shape (N + 1, ndx).
+        By the `linearization` of the steps. Returns what weighs the second derivatives of the steps beside the
+        costates. Shape (N + 1, ndx).
         """
         costates = np.zeros((self.horizon + 1, self.dynamics.ndx))
         for term in self._terms:
@@ -378,7 +379,7 @@ class Problem:
         return costates
 
     def gradient(self, trajectory: Trajectory) -> Array:
-        """Gradient dJ/dU by the adjoint recursion. Shape (N, nu).  (Sideris and Bobrow 2005, (8)-(10).)
+        """Gradient dJ/dU along `trajectory` (Sideris and Bobrow 2005, (8)-(10)). Shape (N, nu).
 
         With free time or parameters: with these held at the trajectory's duration and the first values.
         """
@@ -404,7 +405,7 @@ class Problem:
         return replace(scene, markers=marked) if scene is not None and marked else scene
 
     def checked_controls(self, U: ArrayLike, name: str = "U0") -> Array:
-        """Return `U` as (N, nu); one control (nu,) is held over the horizon."""
+        """Return `U` as (N, nu); one control (nu,) is held over the horizon. Raises ValueError about `name`."""
         shape = (self.horizon, self.dynamics.nu)
         array = as_array(name, U)
         if array.shape not in (shape, shape[1:]):

@@ -23,12 +23,7 @@ from mjslq.lq import square_root
 PACKAGE_USE = {"CostTerm", "Constraint", "BoundConstraints", "bind_all", "read", "Start", "plant_of", "Plant"}
 """Names without an underscore that only the package uses."""
 SECTIONS = re.compile(r"^(Parameters|Returns|Raises|Examples)\n-+\n", re.MULTILINE)
-OWED = {
-    "mjslq.Clip", "mjslq.Dynamics.by_stretch", "mjslq.Dynamics.frame_output", "mjslq.Dynamics.variation",
-    "mjslq.FunctionDynamics.changed", "mjslq.MujocoDynamics", "mjslq.Policy.load", "mjslq.Problem",
-    "mjslq.constraints.Control.at", "mjslq.constraints.Frame", "mjslq.costs.Frame", "mjslq.costs.Time",
-    "mjslq.view", "mjslq.watch",
-}  # fmt: skip
+OWED = {"mjslq.view", "mjslq.watch"}
 """Names whose docstrings, or those of whose methods, are still to be written; to be taken out of here."""
 
 

@@ -45,6 +45,13 @@ class Clip:
 
     Raises ValueError, in one sentence, for times that do not increase, samples of other shapes or not finite,
     quaternions that are not of unit length (to 1e-3; they are scaled), and unknown quantities.
+
+    >>> from mjslq.robots import robot_spec
+    >>> arm = mjslq.MujocoDynamics.from_spec(robot_spec("ur5"), timestep=0.01)
+    >>> motion = arm.rollout(arm.initial_state, np.zeros((10, 6)))
+    >>> clip = mjslq.Clip.record(motion, arm, frames=["forearm_link"])
+    >>> clip.signal("forearm_link")(0.05).shape
+    (3,)
     """
 
     times: Array
@@ -146,10 +153,11 @@ class Clip:
         beyond: Beyond = "hold",
         step: float | None = None,
     ) -> FrameSignal:
-        """One quantity of a frame as a function of time, for the `target` of a cost.
+        """The quantity `of` a `frame` as a function of time, for the `target` of a cost.
 
-        `step` is that of the differences which stand in for velocities that were not recorded [s]; the mean distance
-        of the samples unless given. Raises ValueError for frames and quantities that the clip has not.
+        The clip's time is `offset` + t / `stretch`; `beyond` says what holds beyond its ends. `step` is that of the
+        differences which stand in for velocities that were not recorded [s]; the mean distance of the samples unless
+        given. Raises ValueError for frames and quantities that the clip has not.
         """
         from mjslq.clips import following
 
@@ -158,7 +166,10 @@ class Clip:
     def joint_signal(
         self, entries: Iterable[str], offset: float = 0.0, stretch: float = 1.0, beyond: Beyond = "hold"
     ) -> JointSignal:
-        """Joint positions as a function of time, such as the targets of servos. Raises ValueError."""
+        """Positions of the joints `entries` as a function of time, such as the targets of servos. Raises ValueError.
+
+        `offset`, `stretch` and `beyond` as in `signal`.
+        """
         from mjslq.clips import following
 
         return following.joint_signal(self, tuple(entries), Timing(offset, stretch, beyond))
@@ -227,11 +238,11 @@ class Clip:
         stretch: float = 1.0,
         beyond: Beyond = "hold",
     ) -> Array:
-        """States of a robot along the clip, at a time, shape (nx,), or at several (k,), shape (k, nx). [s]
+        """States of the robot `dynamics` at `times`: one, shape (nx,), or several (k,), shape (k, nx). [s]
 
-        Joint positions are those of the clip, or the robot's initial ones where it has none; velocities the recorded
-        ones, or differences over a step of the horizon to either side. Raises ValueError for a clip without joint
-        positions, or with entries that are not the robot's.
+        `offset`, `stretch` and `beyond` as in `signal`. Joint positions are those of the clip, or the robot's initial
+        ones where it has none; velocities the recorded ones, or differences over a step of the horizon to either side.
+        Raises ValueError for a clip without joint positions, or with entries that are not the robot's.
         """
         from mjslq.clips import following
 
@@ -240,9 +251,10 @@ class Clip:
         return X if at.ndim else X[0]
 
     def guess(self, problem: Problem, offset: float = 0.0, stretch: float = 1.0, beyond: Beyond = "hold") -> Array:
-        """States at the knots of a problem's horizon, for `solve(problem, X0=...)`. Shape (N + 1, nx).
+        """States at the knots of the horizon of `problem`, for `solve(problem, X0=...)`. Shape (N + 1, nx).
 
-        They need not obey the dynamics. Raises ValueError as `states` does.
+        `offset`, `stretch` and `beyond` as in `signal`. They need not obey the dynamics. Raises ValueError as `states`
+        does.
         """
         steps = problem.dynamics.steps(problem.horizon)
         times = problem.t0 + np.concatenate([[0.0], np.cumsum(steps)])

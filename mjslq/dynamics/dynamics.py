@@ -113,7 +113,7 @@ class Dynamics(ABC):
         return found
 
     def frame_output(self, frame: str, of: str) -> str:
-        """Name of the output that reads a quantity (`QUANTITIES`) of a frame; raises ValueError where there is none."""
+        """Name of the output that reads the quantity `of` (`QUANTITIES`) a `frame`; ValueError where there is none."""
         raise ValueError(f"{type(self).__name__} has no frames; use costs.Sensor or costs.Residual")
 
     @property
@@ -173,7 +173,7 @@ class Dynamics(ABC):
         raise ValueError(f"{type(self).__name__} has no contacts to foresee")
 
     def variation(self, names: tuple[str, ...] = ()) -> Variation:
-        """A copy whose step length and parameters of these names can be set, for problems in which they are unknown.
+        """A copy whose step length and parameters `names` can be set, for problems in which they are unknown.
 
         Raises ValueError for engines without.
         """
@@ -182,7 +182,7 @@ class Dynamics(ABC):
     def by_stretch(self, X: Array, U: Array, ends: Array) -> tuple[Array, Array] | None:
         """Derivatives of steps and outputs by a factor on all step lengths, at one.
 
-        For steps from X (N + 1, nx) under U (N, nu) to `ends` (N, nx): shapes (N, ndx) and (N + 1, ny). None where
+        For steps from `X` (N + 1, nx) under `U` (N, nu) to `ends` (N, nx): shapes (N, ndx) and (N + 1, ny). None where
         the engine has no way of its own; then differences are taken.
         """
         return None

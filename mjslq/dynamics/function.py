@@ -268,7 +268,7 @@ class FunctionDynamics(Dynamics):
         return None if S is None else (S, G)
 
     def changed(self, dt: float | Array, parameters: Array, steps: Derivatives, readings: Derivatives) -> Self:
-        """The same system with other step lengths and parameters, and derivatives that know these."""
+        """The same system with other `dt` and `parameters`, and `steps` and `readings`: derivatives that know these."""
         other = object.__new__(type(self))
         vars(other).update(vars(self))  # the compiled functions, too, which copies make anew
         other.dt, other.parameters, other._steps, other._readings = dt, parameters, steps, readings

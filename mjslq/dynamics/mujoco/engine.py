@@ -80,8 +80,7 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
     foresight
         Distance from which on bodies feel each other in derivatives, and in these alone; see `contacts`. [m]
 
-    Parameters
-    ----------
+    parameters : mapping
         Numbers of the model that a problem may make unknown (`Problem.free_parameters`), by names of your own:
         quantities such as "body/pole/mass" or "geom/foot/friction/0", or pairs (set, value) of a function
         set(model, value) and the value now; see `variation`.
@@ -231,7 +230,7 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
         return MujocoVariation(self, names)
 
     def with_model(self, change: Callable[[mujoco.MjModel], None]) -> MujocoDynamics:
-        """The same system on a copy of the model in which something is changed, with memory of its own."""
+        """The same system on a copy of the model that the function `change` has changed, with memory of its own."""
         from mjslq.dynamics.mujoco.inverse.cover import choose_jacobian
 
         other = copy.copy(self)
@@ -243,7 +242,7 @@ class MujocoDynamics(Constructors, Keyframes, Dynamics):
         return other
 
     def retime(self, timestep: float) -> None:
-        """Take another simulator step [s], for engines whose model nobody else has."""
+        """Take another simulator step, `timestep` [s], for engines whose model nobody else has."""
         if timestep == self.model.opt.timestep:
             return
         self.model.opt.timestep = self._given.opt.timestep = timestep
