@@ -111,7 +111,8 @@ class Kinks:
         if self._ended and last is not None and np.isfinite(last.norm):
             said.append(
                 f"Around this point {last.kinks} kinks and {last.edges} jumps were found; the shortest average of "
-                f"the gradients on their sides has the norm {last.norm:.1e} and promises a decrease of {last.decrease:.1e}."
+                f"the gradients on their sides has the norm {last.norm:.1e} and promises a decrease of "
+                f"{last.decrease:.1e}."
             )
             if abs(last.jump) > ROUNDOFF * abs(self._cost):
                 said.append(
