@@ -256,3 +256,14 @@ def test_the_peers_run_where_casadi_is_installed(capsys):
         assert said == 'This comparison needs CasADi: pip install "mjslq[peers]".\n'
     else:
         assert said.count("1 of 1") == 3 and said.count("4.4493") == 6
+
+
+def test_a_solve_that_is_cut_off_gives_its_latest_iterate_where_the_constraints_are_nearly_met():
+    problem = problems.get("panda_obstacle")
+    start = problem.rollout(problem.U0)
+    result = mjslq.solve(problem, max_iterations=60)
+    assert result.status.value == "max_iterations" and problem.violation(start) == 0.0
+    seen = [problem.violation(iterate) for iterate in result.iterates]
+    assert result.cost < 0.02 * problem.cost(start) and result.constraint_violation < 0.1 * max(seen)
+    early = mjslq.solve(problem, max_iterations=5)  # far from meeting them: the start is better than that
+    assert early.constraint_violation == 0.0

@@ -43,6 +43,21 @@ def test_solo_leaves_the_floor_and_comes_down_on_its_feet():
     assert str(result.contact).startswith("smooth")
 
 
+def test_solo_flips_all_the_way_round_and_lands_on_its_feet():
+    problem = mjslq.problems.get("solo12_flip")
+    result = mjslq.solve(problem, max_iterations=20)
+    assert robots.CASES["Solo12 flip"].met(problem, result.trajectory)
+    X = result.trajectory.X
+    assert (X[:, 3] < -0.9).any() and np.abs(X[:, [4, 6]]).max() < 1e-2  # upside down and on, about its pitch axis
+    highest = int(X[:, 2].argmax())
+    from mjslq.dynamics.mujoco.contacts import penetration
+
+    assert penetration(problem.dynamics.model, X[highest - 1 : highest + 2]) == 0.0
+    standing = mjslq.problems.get("solo12_stand", crouch=0.8)
+    still = problem.rollout(mjslq.solve(standing, max_iterations=5).trajectory.U)
+    assert abs(still.X[-1, 2] - problem.x0[2]) < 0.03 and not robots.CASES["Solo12 flip"].met(problem, still)
+
+
 def test_g1_stands_still_again():
     problem = mjslq.problems.get("g1_push")
     assert problem.x0[36] == 0.5
@@ -126,6 +141,7 @@ def test_g1_moves_along_its_clip_on_a_receding_horizon():
         ("box_push", {"foresight": -1.0}, "foresight must be at least 0"),
         ("quadrotor", {"limit": 0.0}, "limit must be positive"),
         ("solo12_jump", {"height": -1.0}, "height must be positive"),
+        ("solo12_flip", {"spin": 0.0}, "spin must be positive"),
         ("solo12_jump", {"horizon": 3}, "horizon must be a whole number of at least 4"),
         ("g1_push", {"vx": np.inf}, "vx must be finite"),
     ],

@@ -21,6 +21,7 @@ _CATALOGUE = {
     "drag_particle": "a particle pushed through quadratic drag (Sideris and Bobrow 2005, section 4.1)",
     "solo12_stand": "the quadruped Solo12 rises from a crouch and stands",
     "g1_reach": "the humanoid G1 reaches for a point, standing on both feet",
+    "solo12_flip": "the quadruped Solo12 flips backward and stands again",
     "solo12_jump": "the quadruped Solo12 jumps and stands again",
     "g1_push": "the humanoid G1 is pushed and recovers its stance",
     "g1_clip": "the humanoid G1 tracks a recorded motion: a squat, a wave, a step",

@@ -22,7 +22,7 @@ from mjslq.costs import State
 from mjslq.dynamics.mujoco import MujocoDynamics
 from mjslq.optimize import solve
 from mjslq.problem import Problem
-from mjslq.problems import box_push
+from mjslq.problems import box_push, solo12_flip
 from mjslq.problems.panda_reach import OPTIMAL_COST
 from mjslq.problems.solo12_stand import spring_legs
 from mjslq.reports.starts import Case as Start
@@ -90,6 +90,10 @@ def _jumps(problem: Problem, trajectory: Trajectory) -> bool:
     return bool(abs(top - problem.parameters["height"]) < 0.03) and _stands(problem, trajectory)
 
 
+def _flips(problem: Problem, trajectory: Trajectory) -> bool:
+    return bool(abs(solo12_flip.turned(trajectory) + 2.0 * np.pi) < 0.1) and _stands(problem, trajectory)
+
+
 def _reaches(problem: Problem, trajectory: Trajectory) -> bool:
     target = [problem.parameters[name] for name in "xyz"]
     return bool(np.linalg.norm(trajectory.Y[-1, :3] - target) < 0.01)
@@ -124,6 +128,10 @@ CASES: dict[str, Case] = {
     ),
     "Solo12 jump, stiff": Case(
         "solo12_jump", {"contact": "stiff"}, 0.02, 0.02, 120, 0, _jumps, "apex within 3 cm, " + _STANDS
+    ),
+    "Solo12 flip": Case("solo12_flip", {}, 0.02, 0.02, 120, 0, _flips, "turned by 360 deg, " + _STANDS),
+    "Solo12 flip, stiff": Case(
+        "solo12_flip", {"contact": "stiff"}, 0.02, 0.02, 120, 0, _flips, "turned by 360 deg, " + _STANDS
     ),
     "box push, stiff": Case("box_push", {"contact": "stiff"}, 0.01, 0.02, 120, 0, _pushed, _PUSHED),
     "box push, untouched": Case(
@@ -224,7 +232,8 @@ def started(case: Case, starts: int, first: int = 0) -> Iterator[tuple[Problem, 
         started = perturbed(problem, seed, Start(case.problem, {}, moved, case.controls))
         if isinstance(dynamics := problem.dynamics, MujocoDynamics) and case.problem.startswith("solo12"):
             x0 = np.asarray(started.x0)  # its legs are springs at the start, whatever the state
-            started = dataclasses.replace(started, U0=spring_legs(dynamics, x0, _final(problem), problem.horizon))
+            legs = solo12_flip.kicking_legs if case.problem == "solo12_flip" else spring_legs
+            started = dataclasses.replace(started, U0=legs(dynamics, x0, _final(problem), problem.horizon))
         yield started, None
 
 

@@ -26,9 +26,10 @@ Steps are halved until one descends, under the sweep's feedback; full ones that 
 doubled as long as that pays.
 
 Second derivatives are taken in when full steps shrink the expected decrease by less than `SLOW`, or steps have to be
-shortened, three times in a row, and more often where second derivatives are dear (`Dynamics.curvature_price`): then
-Gauss-Newton converges slowly, or points the wrong way. A direction with a multiplier counts as converged only if it
-were short without, too.
+shortened, three times in a row: then Gauss-Newton converges slowly, or points the wrong way. Where they are dear
+(`Dynamics.curvature_price` above `DEAR`), not before the iterations in a row have cost as much as they do; and they
+rest, for 4, 8, 16, ... iterations, where `TRIED` iterations with them have brought less for their price than the last
+ones without. A direction with a multiplier counts as converged only if it were short without, too.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ from mjslq.validation import Array
 
 SLOW = 0.3
 """Factor by which a full step has to shrink the expected decrease."""
-PATIENCE, LINEARIZATIONS_A_TURN = 3, 20.0
-"""Slow iterations in a row, after which second derivatives are taken in where they cost nothing, and the price, in
-linearizations, for which one more is waited."""
+PATIENCE, ITERATION, DEAR, TRIED = 3, 3.0, 9.0, 4
+"""Slow iterations in a row, after which second derivatives are taken in where they cost little; in linearizations, the
+cost of an iteration without them, and the price from which on they are dear; iterations that these are tried for."""
 LITTLE = 0.1
 """Share of the multipliers in the model, up to which a step is as good as without."""
 NEARLY = 1e-2
@@ -124,6 +125,7 @@ class Auto(Method):
         self._resting, self._rest = 0, 4  # iterations that second derivatives rest, and the next time
         self._second_from: int | None = 0 if options.curvature == "always" else None
         self._slow, self._last, self._iterations, self._damped = 0, np.inf, 0, 0
+        self._brought: dict[bool, list[float]] = {False: [], True: []}  # latest decreases, without and with curvature
         self._costates: Array | None = None
         self._exact: LQProblem | None = None
         self._latest: Candidate | None = None
@@ -171,6 +173,7 @@ class Auto(Method):
         self._adapt(found.alpha, self._latest, here.problem.dynamics.curvature_price)
         alpha = _expanded(trial, found.alpha)
         self._watch(trial.start - trial.cost(alpha), trial.start)
+        self._judge(trial.start - trial.cost(alpha), here.problem.dynamics.curvature_price)
         return Step(trial(alpha), alpha, trial.evaluations)
 
     @property
@@ -219,7 +222,7 @@ class Auto(Method):
             return
         poor = alpha < 1.0 or (latest.share < LITTLE and latest.decrease > SLOW * self._last)
         self._slow, self._last = self._slow + 1 if poor else 0, latest.decrease
-        if self._slow >= PATIENCE + price // LINEARIZATIONS_A_TURN:
+        if self._slow >= (PATIENCE if price <= DEAR else max(PATIENCE, price / ITERATION)):
             self._second_from, self.theta = self._iterations, 1.0
 
     def _rescue(self, here: Iterate, merit: Merit) -> Step:
@@ -268,6 +271,21 @@ class Auto(Method):
         self._creeping = self._creeping + 1 if any(self.mu) and decrease < CREEP * abs(start) else 0
         if self._creeping >= PATIENCE_TO_CREEP:
             self._kind, self._creeping, self.mu = _other(self._kind), 0, Multipliers()
+
+    def _judge(self, decrease: float, price: float) -> None:
+        """Let dear second derivatives rest where they bring less for their price than iterations without them."""
+        if price <= DEAR or self.options.curvature == "always":
+            return
+        recent = self._brought[self._exact is not None]
+        recent.append(decrease)
+        del recent[:-TRIED]
+        plain, second = self._brought[False], self._brought[True]
+        if self._exact is None or len(second) < TRIED or not plain:
+            return
+        if np.mean(second) / (ITERATION + price) < np.mean(plain) / ITERATION:
+            self._resting, self._rest = self._rest, 2 * self._rest
+            plain.clear()
+        second.clear()
 
     def _costates_for(self, here: Iterate) -> Array:
         """Costates of the sweep before; at the start those of a Gauss-Newton sweep."""

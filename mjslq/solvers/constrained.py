@@ -42,8 +42,9 @@ stationary point of the violation, and there may be another way. Where the linea
 Each constraint's entry is scaled by the largest gradient that it has along the start. Limits of the controls are no
 part of this: the sweeps keep to them exactly.
 
-The result is the last iterate where the solve converged, and otherwise the one with the least violation, or the least
-cost among those that meet the constraints.
+The result is the last iterate where the solve converged. Where it was cut off, it is the one with the least violation v
+(the least cost among those that meet the constraints), or the last one, if that has come down to `CLOSING` of the
+largest v and has the lower J + 2 p v: p = sum |lambda+|, the price of one unit of v at all constraints.
 """
 
 from __future__ import annotations
@@ -88,6 +89,8 @@ CHEAP = 20.0
 """Price of second derivatives, in linearizations, up to which the last steps use them in any case."""
 MOVABLE = 0.5
 """Share of the squared violations below which the linearized system says that there is a way."""
+CLOSING = 0.1
+"""Share of the largest violation of all iterates below which the constraints are being met."""
 FAILURES = 4
 """Times in a row that no step descends, at most; each time the weight is divided by `GROW`."""
 
@@ -119,6 +122,7 @@ class Constrained(Method):
         self._inner = Auto(options, kinks=False)
         self._rounds = self._restarts = self._iterations = self._failures = self._stalled = 0
         self._best: Best | None = None
+        self._worst = 0.0
         self._augmented: Augmented | None = None
         self._active: ActiveSet | None = None
         self._before: Iterate | None = None  # where the last steps began, while they are being made
@@ -194,10 +198,18 @@ class Constrained(Method):
         return met and augmented.complementarity(here.trajectory) <= tol
 
     def best(self, last: Iterate, status: Status) -> Iterate:
-        """The last iterate where the solve converged, or the best one."""
-        if status is Status.CONVERGED or self._best is None:
+        """The last iterate where the solve converged, or the better of that and the one with the least violation."""
+        best = self._best
+        if status is Status.CONVERGED or best is None:
             return last
-        return self._best.iterate
+        found = self._seen(last) if np.isfinite(last.cost) and status is not Status.INFEASIBLE else best
+        multipliers = (
+            found.multipliers if found.augmented is None else found.augmented.next_multipliers(last.trajectory)
+        )
+        price = 2.0 * sum(float(np.abs(values).sum()) for values in multipliers)
+        worth = [entry.cost + price * max(entry.violation - entry.tol, 0.0) for entry in (found, best)]
+        closing = found.violation < CLOSING * self._worst
+        return last if closing and worth[0] < worth[1] else best.iterate
 
     def duals(self, here: Iterate) -> Duals:
         """Multipliers lambda+ and violations at `here`."""
@@ -341,6 +353,7 @@ class Constrained(Method):
     def _keep(self, iterate: Iterate) -> None:
         """Remember the iterate if it is the best so far."""
         found = self._seen(iterate)
+        self._worst = max(self._worst, found.violation)
         if self._best is None or found.rank <= self._best.rank:
             self._best = found
 
