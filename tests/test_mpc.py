@@ -81,18 +81,26 @@ def test_one_iteration_a_plan_does_with_constraints_too():
     assert pytest.approx(whole.X, abs=1e-3) == once.X
 
 
-def test_a_car_parks_past_obstacles_by_short_plans():
-    made = mjslq.problems.get("car_obstacles")
-    discs, goal = made.constraints[0], np.array([2.5, 2.2, np.pi / 2.0, 0.0])
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_a_disc_is_passed_by_short_plans(iterations):
+    """A mass in the plane on its way to (2, 0), a disc almost in the middle of it."""
+    dynamics = mjslq.FunctionDynamics(
+        lambda x, u: np.array([x[2], x[3], u[0], u[1]]), 4, 2, H, integrator="rk4", control_limits=(-2.0, 2.0)
+    )
+    disc = mjslq.constraints.Path(
+        lambda x, u, t: 0.3**2 - (x[0] - 1.0) ** 2 - (x[1] + 0.1) ** 2, when="always", name="disc"
+    )
+    goal = np.array([2.0, 0.0, 0.0, 0.0])
     costs = [
-        mjslq.costs.Control(1.0),
-        mjslq.costs.State([1.0, 1.0, 0.1, 0.1], goal, "always", terminal_weight=[100.0, 100.0, 10.0, 10.0]),
+        mjslq.costs.Control(0.1),
+        mjslq.costs.State([3.0, 3.0, 0.3, 0.3], goal, "always", terminal_weight=[30.0, 30.0, 10.0, 10.0]),
     ]
-    problem = mjslq.Problem(made.dynamics, 25, np.zeros(4), costs, constraints=[discs], bounds=made.bounds)
-    driven = mjslq.MPC(problem, iterations=5, first_iterations=300).run(duration=6.0).trajectory
-    along = mjslq.Problem(made.dynamics, driven.horizon, np.zeros(4), costs, constraints=[discs])
-    assert driven.X[-1] == pytest.approx(goal, abs=0.1)
-    assert along.violation(driven) < 1e-2 and np.abs(driven.X[:, 3]).max() <= 1.2 + 1e-6
+    problem = mjslq.Problem(dynamics, 40, np.zeros(4), costs, constraints=[disc])
+    mpc = mjslq.MPC(problem, iterations=iterations, first_iterations=60)
+    passed = mpc.run(duration=4.0).trajectory
+    along = mjslq.Problem(dynamics, passed.horizon, np.zeros(4), costs, constraints=[disc])
+    assert passed.X[-1] == pytest.approx(goal, abs=2e-2)
+    assert along.violation(passed) < 1e-3
 
 
 def test_a_state_beyond_a_limit_is_led_back():

@@ -30,7 +30,7 @@ all methods share: at such a point the gradient of L is that of the Lagrangian. 
 end no more.
 
 A solve that starts from a result of the same constraints begins with 4, from its multipliers; where that fails, the
-rounds start with these multipliers, and with rho 100 times the largest of them, at most 1e4 s.
+rounds start with these multipliers, and with rho 100 times the largest of them.
 
 Infeasible: e above 0.9 of its least value in `STALLED` rounds, and rho at least 1e4 s. Then the solve starts anew from
 its start, twice at most, and then says so; it starts anew, too, where no step descends with any weight. It starts with
@@ -83,8 +83,9 @@ LEAST_SHARE = 1e-3
 """Least size of the cost, relative to that of the start."""
 NEAR_E, NEAR_T = 1e-2, 1e-4
 """Complementarity and tolerance of a round from which on the last steps are tried."""
-WARM = 100.0
-"""The weight to go on with from given multipliers: so many times the largest of them, scaled."""
+WARM, WARMEST = 100.0, 1e7
+"""The weight to go on with from given multipliers: so many times the largest of them, scaled. The largest rho / s then,
+where the start is near a solution; elsewhere it is `HEAVY`: multipliers of plans that were cut off may be anything."""
 CHEAP = 20.0
 """Price of second derivatives, in linearizations, up to which the last steps use them in any case."""
 MOVABLE = 0.5
@@ -244,7 +245,8 @@ class Constrained(Method):
     def _warm(self, here: Iterate, multipliers: tuple[Array, ...]) -> Iterate:
         """The last steps from given multipliers; the rounds start with them where these fail."""
         largest = max(float(np.abs(m / s).max(initial=0.0)) for m, s in zip(multipliers, self._scales, strict=True))
-        rho = min(max(WARM * largest, self._first_rho), HEAVY * self._size)
+        near = self._newton.error(self._start.trajectory, multipliers) < NEAR_E
+        rho = min(max(WARM * largest, self._first_rho), (WARMEST if near else HEAVY) * self._size)
         self._augmented = Augmented.of(self._start.problem, multipliers, self._scales, rho)
         self._t, self._before = NEAR_T, self._round.about(self._start)
         there = self._newton.begin(here, multipliers, rho, self._curved)

@@ -24,7 +24,7 @@ def keys_of(player: Player) -> list[Key]:
         key("[", "Slower", lambda: _change_speed(player, -1)),
         key("]", "Faster", lambda: _change_speed(player, 1)),
         key("L", "Loop, or stop at the end", lambda: player.set_loop(not player.loop)),
-        key("D", "Dark or light", lambda: player.set_dark(not player.dark)),
+        key("N", "Dark or light", lambda: player.set_dark(not player.dark)),
     ]
     if player.iterates > 1:
         found[3:3] = [
