@@ -293,6 +293,9 @@ class Player(Served):
     def frame(self) -> None:
         """Point the camera at the whole motion, of all results."""
         with self._lock:
+            if len(self._views) == 1 and self._views[0].stage is not None:
+                self._views[0].stage.frame()
+                return
             box = comparison.box(self._views, self.layout)
             if self._server is not None and box is not None:
                 Framing(self._server, ASPECT).frame(*box)
