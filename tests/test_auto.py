@@ -7,7 +7,9 @@ from small_problems import linear, pendulum
 
 import mjslq
 from mjslq import Bounds, FunctionDynamics, MujocoDynamics, Problem, Status, costs, problems, solve
+from mjslq.options import AutoOptions
 from mjslq.reports import starts
+from mjslq.solvers.auto import Auto
 
 SOLVED = {  # median and largest iterations allowed
     "cart-pole 5 N": (40, 60),
@@ -171,3 +173,32 @@ def test_controls_that_weigh_nothing():
 def test_it_is_the_default():
     assert next(iter(mjslq.methods())) == "auto"
     assert solve(pendulum()).method == "auto"
+
+
+def test_dear_second_derivatives_rest_where_they_are_not_worth_their_price():
+    def told(gain, price, curvature="auto"):
+        """Iterations that they rest after iterations that bring 1 without them, and `gain` with them."""
+        method = Auto(AutoOptions(curvature=curvature))
+        for exact, brought in ((None, 1.0), (object(), gain)):
+            method._exact = exact
+            for _ in range(4):
+                method._judge(brought, price)
+        return method._resting
+
+    assert told(1.0, 10.0) == 4 and told(4.0, 10.0) == 4  # an iteration costs (3 + 10) / 3 times as much
+    assert told(5.0, 10.0) == 0
+    assert told(20.0, 100.0) == 4 and told(40.0, 100.0) == 0
+    assert told(0.1, 2.0) == 0  # cheap ones are not judged
+    assert told(0.1, 10.0, "always") == 0
+
+
+def test_the_clip_converges_without_second_derivatives_by_differences(monkeypatch):
+    problem = mjslq.problems.get("g1_clip")
+    assert problem.dynamics.curvature_price > 100.0
+
+    def never(*args):
+        raise AssertionError("second derivatives by differences of 7 ms each")
+
+    monkeypatch.setattr(type(problem.dynamics), "hessian", never)
+    result = mjslq.solve(problem, keep_iterates=False)
+    assert result.success and not result.error and "Gauss-Newton throughout" in result.message

@@ -168,3 +168,13 @@ def test_the_bench_command_prints_a_row_a_task():
     (row,) = json.loads(printed.stdout)["robots"]
     assert row["case"] == "cart-pole 5 N" and row["solved"] == 1 and row["within"] == 40
     assert robots.summary([robots.Row("box push", [None, 3], [1.0, 2.0], penetration=0.01)]).row_count == 1
+
+
+def test_other_seeds_are_other_starts():
+    case = robots.CASES["cart-pole 5 N"]
+    all_of_them = [problem.x0 for problem, _ in robots.started(case, 4)]
+    later = [problem.x0 for problem, _ in robots.started(case, 2, 2)]
+    assert np.array_equal(later, all_of_them[2:]) and not np.array_equal(later, all_of_them[:2])
+    asked = [sys.executable, "-m", "mjslq.cli", "bench", "--seed", "3"]
+    refused = subprocess.run(asked, capture_output=True, text=True, check=False)
+    assert refused.returncode != 0 and "give it with --robots or --starts" in refused.stderr
