@@ -29,6 +29,7 @@ def export(
     speed: Annotated[float | None, typer.Option(help=f"{_FILM}: seconds of motion in a second of film.")] = None,
     at: Annotated[float | None, typer.Option(help=f"{_PICTURE}: the moment. [s]")] = None,
     poses: Annotated[int | None, typer.Option(help=f"{_PICTURE}: so many poses in one; 6 without --at.")] = None,
+    dark: Annotated[bool, typer.Option("--dark", help="Pages (.html): a dark one.")] = False,
 ) -> None:
     """Write a saved result to a file: a page, a film, a picture, a table or its policy.
 
@@ -44,7 +45,15 @@ def export(
 
     choose("ending of an exported file", output.suffix.lower(), OPTIONS)
     refuse_unwritable(output)
-    given = {"size": _size(size), "camera": camera, "fps": fps, "speed": speed, "at": at, "poses": poses}
+    given = {
+        "size": _size(size),
+        "camera": camera,
+        "fps": fps,
+        "speed": speed,
+        "at": at,
+        "poses": poses,
+        "dark": dark or None,
+    }
     result = load(file)
     _import_mujoco()
     with _bar(output, output.suffix.lower() in (".mp4", ".gif")) as progress:

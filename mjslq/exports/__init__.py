@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["OPTIONS", "export"]
 
 OPTIONS: dict[str, tuple[str, ...]] = {
-    ".html": (),
+    ".html": ("dark",),
     ".mp4": ("size", "camera", "fps", "speed"),
     ".gif": ("size", "camera", "fps", "speed"),
     ".png": ("size", "camera", "at", "poses"),
@@ -35,6 +35,7 @@ def export(
     speed: float | None = None,
     at: float | None = None,
     poses: int | None = None,
+    dark: bool | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> None:
     """Write a result to a file for other programs, whole or not at all.
@@ -72,6 +73,8 @@ def export(
     poses : int, optional
         Poses in one picture, evenly spread over the motion, all but the one at `at` pale. 6 unless `at` is
         given, else 1.
+    dark : bool, optional
+        Whether a page is dark; it is not unless given.
     progress : callable, optional
         Called with the share that is done, from 0 to 1, after each picture of a film.
 
@@ -97,7 +100,7 @@ def export(
     if not isinstance(result, Result):
         raise ValueError(f"only a Result of mjslq.solve or mjslq.load can be exported, got {type(result).__name__}")
     ending = choose("ending of an exported file", Path(path).suffix.lower(), OPTIONS)
-    given = {"size": size, "camera": camera, "fps": fps, "speed": speed, "at": at, "poses": poses}
+    given = {"size": size, "camera": camera, "fps": fps, "speed": speed, "at": at, "poses": poses, "dark": dark}
     options = {name: value for name, value in given.items() if value is not None}
     for name in options:
         if name not in OPTIONS[ending]:
@@ -109,7 +112,7 @@ def export(
 def _page(result: Result, path: Any, options: dict[str, Any], progress: Any) -> None:
     from mjslq.viewer import export_html
 
-    export_html(result, path)
+    export_html(result, path, **options)
 
 
 def _table(result: Result, path: Any, options: dict[str, Any], progress: Any) -> None:

@@ -135,7 +135,7 @@ def live(
     return present(Live(mpc, plant, host=host, port=port, **options), block)
 
 
-def export_html(result: Result, path: str | os.PathLike[str]) -> None:
+def export_html(result: Result, path: str | os.PathLike[str], dark: bool = False) -> None:
     """Write `result` to one HTML file that plays in any browser, from disk and without a network.
 
     Parameters
@@ -144,6 +144,8 @@ def export_html(result: Result, path: str | os.PathLike[str]) -> None:
         Of `mjslq.solve` or `mjslq.load`; needs no solver.
     path : str or path
         The file to write, whole or not at all.
+    dark : bool
+        Whether the page is dark.
 
     Raises
     ------
@@ -161,7 +163,7 @@ def export_html(result: Result, path: str | os.PathLike[str]) -> None:
     """
     from mjslq.viewer.export import export_html as write
 
-    write(result, path)
+    write(result, path, dark)
 
 
 def __getattr__(name: str) -> Any:

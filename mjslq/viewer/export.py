@@ -16,8 +16,8 @@ from mjslq.files import atomic_write
 from mjslq.reports import limits
 from mjslq.reports.units import model_from_mjb
 from mjslq.result import Result
-from mjslq.validation import Array
-from mjslq.viewer import panels, series
+from mjslq.validation import Array, flag
+from mjslq.viewer import panels, series, simplify
 from mjslq.viewer.scene import SceneView, quiet
 
 _FRAME_RATE, _MOST_FRAMES = 50.0, 1500
@@ -26,27 +26,29 @@ _POINTS = 1200  # of a curve, at most about
 _ASPECT = 1.25  # of the part of a usual window that shows the robot
 
 
-def export_html(result: Result, path: str | os.PathLike[str]) -> None:
+def export_html(result: Result, path: str | os.PathLike[str], dark: bool = False) -> None:
     """Write `result` to one HTML file: the motion with its plots and a summary, or only these without a scene.
 
+    `dark` makes the page dark. Meshes are drawn with fewer triangles, to within a pixel; see `simplify`.
     Raises ValueError when `result` is something else, its scene cannot be read, or the file cannot be written.
     """
     if not isinstance(result, Result):
         raise ValueError(f"only a Result of mjslq.solve or mjslq.load can be exported, got {type(result).__name__}")
-    page = _page(result)
+    page = _page(result, flag("dark", dark))
     with atomic_write(path) as stream:
         stream.write(page.encode())
 
 
-def _page(result: Result) -> str:
+def _page(result: Result, dark: bool) -> str:
     model = None if result.scene is None else model_from_mjb(result.scene.model)
     scene = ""
     if result.scene is not None:
-        recording = html.escape(_recording(result), quote=True)
+        recording = html.escape(_recording(result, dark), quote=True)
         scene = f'<iframe id="scene" title="The motion" srcdoc="{recording}"></iframe>'
     told = "".join(f"<div><dt>{name}</dt><dd>{html.escape(value)}</dd></div>" for name, value in panels.facts(result))
     parts = {
         "@TITLE@": html.escape(result.problem or "result"),
+        "@THEME@": "dark" if dark else "light",
         "@STATUS@": html.escape(result.status.value.replace("_", " ")),
         "@STATUS_CLASS@": "good" if result.success else "fair",
         "@MESSAGE@": "" if result.success else f'<p class="message">{html.escape(result.message)}</p>',
@@ -61,13 +63,14 @@ def _page(result: Result) -> str:
     return page
 
 
-def _recording(result: Result) -> str:
+def _recording(result: Result, dark: bool) -> str:
     """Return Viser's own page, with the motion recorded in it."""
     assert result.scene is not None
     with quiet():
         server = viser.ViserServer("127.0.0.1", label="mjslq", verbose=False)
     try:
-        view = SceneView(server, result.scene, result.trajectory, _ASPECT, contact=result.contact)
+        cell = simplify.cell_of(model_from_mjb(result.scene.model))
+        view = SceneView(server, result.scene, result.trajectory, _ASPECT, dark=dark, contact=result.contact, cell=cell)
         duration = float(result.trajectory.times[-1])
         frames = int(np.clip(math.ceil(duration * _FRAME_RATE), 2, _MOST_FRAMES))
         recorder = server.get_scene_serializer()
@@ -75,7 +78,7 @@ def _recording(result: Result) -> str:
             recorder.insert_sleep(duration / frames)
             view.show(duration * n / frames)
         recorder.insert_sleep(_REST)
-        return str(recorder.as_html())
+        return str(recorder.as_html(dark))
     finally:
         with quiet():
             server.stop()

@@ -45,18 +45,20 @@ class SceneView:
         dark: bool = False,
         contact: Contact | None = None,
         passed: bool = True,
+        cell: float = 0.0,
     ) -> None:
         """Draw `scene`, with the camera on all of `trajectory` in a window of width / height `aspect`.
 
         `contact` are the parameters of contacts that the trajectory was computed with, where not the model's own.
-        `passed` makes the part of the paths that time has left behind stronger.
+        `passed` makes the part of the paths that time has left behind stronger. `cell` is within what meshes may differ
+        from the model's; see `simplify`. [m]
         """
         self._server, self._scene, self._aspect = server, scene, aspect
         self.model = model_from_mjb(scene.model)
         """The `mujoco.MjModel` that is drawn."""
         self._motion = self.motion(trajectory)
         self._frame = self._motion.frame(0.0)
-        self._stage = Stage(server, self.model, theme(dark), 1.0, 1.0)
+        self._stage = Stage(server, self.model, theme(dark), 1.0, 1.0, cell)
         with server.atomic():
             self.cameras = camera.Cameras(self._stage)
             self.bodies = Bodies(self._stage, self._frame)

@@ -191,7 +191,7 @@ def test_files_are_compared_from_the_command_line(tmp_path: Path, monkeypatch: p
     files = [tmp_path / name for name in ("a.npz", "b.npz")]
     for file in files:
         mjslq.solve(mjslq.problems.get("van_der_pol", horizon=5), max_iterations=1).save(file)
-    cli.view(files)
+    cli.view([str(file) for file in files])
     assert len(shown[0]) == 2
     with pytest.raises(ValueError, match=r"a model is viewed alone, and robot\.xml is one"):
-        cli.view([files[0], Path("robot.xml")])
+        cli.view([str(files[0]), "robot.xml"])

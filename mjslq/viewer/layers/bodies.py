@@ -17,6 +17,7 @@ from mjslq.viewer import geometry, textures
 from mjslq.viewer.batches import place
 from mjslq.viewer.layers.layer import Stage, color_bytes, linear_bytes, node_name
 from mjslq.viewer.motion import Frame
+from mjslq.viewer.simplify import simplified
 
 if TYPE_CHECKING:
     import viser
@@ -146,7 +147,8 @@ class Bodies:
     def _draw(self, group: int) -> list[_Drawn]:
         model, drawn = self._stage.model, []
         start = sum(len(some) for some in self._drawn.values())
-        for number, piece in enumerate(geometry.pieces(model, (group,)), start):
+        for number, whole in enumerate(geometry.pieces(model, (group,)), start):
+            piece = simplified(whole, self._stage.cell)
             moves = bool(model.body_weldid[piece.body] != 0)
             body = node_name(model, mujoco.mjtObj.mjOBJ_BODY, piece.body).replace("/", "_")
             name = f"{body}/{number}"

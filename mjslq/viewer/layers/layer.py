@@ -39,6 +39,8 @@ class Stage:
     """About the size of what moves, from corner to corner. [m]"""
     reach: float
     """About the size of the motion, from corner to corner. [m]"""
+    cell: float = 0.0
+    """Within what meshes may differ from the model's; see `simplify`. [m]"""
 
 
 class Layer(ABC):
