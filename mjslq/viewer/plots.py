@@ -34,6 +34,8 @@ _ITERATIONS = 600
 """Points of a curve over iterations, at most about."""
 _PULSE = "pulse"
 """Scale of a column that is not seen; see `UPlot`."""
+_TURNS = 1000
+"""Values that the column takes in turn: several changes that reach the page at once must not add up to none."""
 _REMOVE = "(remove this plot)"
 _OWN = "(own choice)"
 
@@ -322,7 +324,7 @@ class UPlot:
 
     def set_data(self, data: tuple[Array, ...]) -> None:
         """Show other data on the same axes."""
-        self._turn = 3 - self._turn
+        self._turn = self._turn % _TURNS + 1
         self._handle.data = self._with_pulse(data)
 
     def _with_pulse(self, data: tuple[Array, ...]) -> tuple[Array, ...]:
