@@ -69,8 +69,7 @@ class Problem:
     free_time: tuple[float, float] | None = field(default=None, kw_only=True)
     """(T_min, T_max): the final time is unknown, between these, and all steps are stretched alike. The search starts
     from the duration of the system's own steps, and "auto" and "constrained" hold the time there until the motion is a
-    good one (`solvers.held_time`). A warning tells of functions that hold the length of a step as a number, which does not
-    stretch (`step_lengths`). [s]"""
+    good one (`solvers.held_time`). Numbers that functions hold do not stretch; see `step_lengths`. [s]"""
     free_parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict, kw_only=True)
     """Parameters of the system that are unknown (`Dynamics.parameter_names`), by name, with their limits (lower,
     upper). The search starts from their values in the system."""
@@ -143,8 +142,7 @@ class Problem:
             named += [(f"constraints[{i}]", term) for i, term in enumerate(self.constraints)]
             self.unknowns.refuse_functions(named)
             self.unknowns.refuse_times(acting + [(c.name, c.residual.knots) for c in self.bound_constraints])
-            if self.unknowns.timed:
-                warn_of_constants(dynamics, N, named)
+            warn_of_constants(dynamics, N, named if self.unknowns.timed else None)
 
     def __getstate__(self) -> dict[str, Any]:
         """What pickle carries: not what is made when first asked for."""

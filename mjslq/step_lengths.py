@@ -26,13 +26,13 @@ NAMES = frozenset(
 """Names, in small letters, under which the length of a step goes."""
 
 
-def warn_of_constants(dynamics: Dynamics, N: int, terms: Iterable[tuple[str, Any]]) -> None:
+def warn_of_constants(dynamics: Dynamics, N: int, terms: Iterable[tuple[str, Any]] | None) -> None:
     """Warn of functions of a system and of terms, (what, term of `costs` or `constraints`), that hold a step's length.
 
-    Only where all steps are equally long: others are not one number.
+    Only where all steps are equally long: others are not one number. None for terms where the time is not free.
     """
     steps = dynamics.steps(N)
-    if (steps != steps[0]).any():
+    if terms is None or (steps != steps[0]).any():
         return
     length = float(steps[0])
     places = [*((f"{what}: {place}") for what, term in terms for place in _places_of(term, length))]
