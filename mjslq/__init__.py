@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 
 numba_cache.provide()
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 _HOME = {
     "clips": "mjslq.clips",

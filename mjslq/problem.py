@@ -67,7 +67,7 @@ class Problem:
     free_time: tuple[float, float] | None = field(default=None, kw_only=True)
     """(T_min, T_max): the final time is unknown, between these, and all steps are stretched alike. The search starts
     from the duration of the system's own steps, and "auto" and "constrained" hold the time there until the motion is a
-    good one (`solvers.held_time`). [s]"""
+    good one (`solvers.held_time`). Numbers that functions hold do not stretch; see `step_lengths`. [s]"""
     free_parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict, kw_only=True)
     """Parameters of the system that are unknown (`Dynamics.parameter_names`), by name, with their limits (lower,
     upper). The search starts from their values in the system."""
