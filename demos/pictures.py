@@ -37,8 +37,8 @@ def arm(player):
 
 
 def quadruped(player):
-    player.set_ghosts("along", 2)
-    player.seek(1.0)
+    player.set_ghosts("along", 7)
+    player.seek(0.42)
 
 
 def comparison(player):
@@ -49,7 +49,7 @@ def problems():
     """The results of each picture, the one shown first."""
     yield hopper, [mjslq.solve(mjslq.problems.get("hopper", height=30.0))]
     yield arm, [mjslq.solve(mjslq.problems.get("panda_obstacle"))]
-    yield quadruped, [mjslq.solve(mjslq.problems.get("solo12_stand"))]
+    yield quadruped, [mjslq.solve(mjslq.problems.get("solo12_flip"))]
     problem = mjslq.problems.get("double_pendulum")
     found = [mjslq.solve(problem, method) for method in ("auto", "slq", "newton", "pronto")]
     yield comparison, sorted(found, key=lambda result: result.cost)

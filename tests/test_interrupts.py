@@ -99,9 +99,9 @@ def test_ctrl_c_again_while_the_result_is_put_together(first):
 def test_ctrl_c_after_the_end_loses_no_converged_result(monkeypatch):
     finish = loop._finish
 
-    def interrupted(outcome, method):
+    def interrupted(*given):
         interrupt()
-        finish(outcome, method)
+        finish(*given)
         interrupt()
 
     monkeypatch.setattr(loop, "_finish", interrupted)

@@ -240,7 +240,7 @@ def test_ways_to_end():
         ("newton", {"costates": "adjont"}, "unknown costates 'adjont'; there are: sweep, adjoint; did you mean"),
         ("newton", {"line_search": "none"}, "unknown line_search 'none'; there are"),
         ("newton", {"step": 1}, "unknown step 1; there are: closed-loop, open-loop"),
-        ("newton", {"acceleration": 1}, "acceleration must be True or False, got 1"),
+        ("newton", {"acceleration": 1}, "acceleration must be True or False, got int 1"),
         ("gradient", {"step": "open-loop"}, "unknown option for method 'gradient' 'step'; there are: line_search, tol"),
     ],
 )  # fmt: skip
