@@ -42,7 +42,7 @@ def quadruped(player):
 
 
 def comparison(player):
-    player.seek(1.6)
+    player.seek(1.2)
 
 
 def problems():
@@ -50,8 +50,8 @@ def problems():
     yield hopper, [mjslq.solve(mjslq.problems.get("hopper", height=30.0))]
     yield arm, [mjslq.solve(mjslq.problems.get("panda_obstacle"))]
     yield quadruped, [mjslq.solve(mjslq.problems.get("solo12_flip"))]
-    problem = mjslq.problems.get("double_pendulum")
-    found = [mjslq.solve(problem, method) for method in ("auto", "slq", "newton", "pronto")]
+    problem = mjslq.problems.get("cart_pole")
+    found = [mjslq.solve(problem, method, max_iterations=100) for method in ("auto", "newton", "gradient")]
     yield comparison, sorted(found, key=lambda result: result.cost)
 
 
